@@ -1,0 +1,125 @@
+"""Surface fairing (paper section 4): subdivide, swap, collapse."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxgrow.mesh.collapse import collapse
+from jaxgrow.mesh.quality import areas
+from jaxgrow.mesh.subdivide import subdivide, subdivide_all
+from jaxgrow.mesh.surface import Remeshing, Surface
+from jaxgrow.mesh.swap import swap
+
+
+LONG_EDGE = 1.5
+"""Edges longer than this many sides of the equilateral triangle of the largest area
+are split (long thin triangles; the paper leaves them open)."""
+
+SHORT_EDGE = 0.25
+"""Edges shorter than this many such sides are collapsed (needles)."""
+
+
+def equilateral_side(area: float) -> float:
+    """Side of the equilateral triangle of an area: sqrt(4 A / sqrt 3)."""
+    return float(np.sqrt(4.0 * area / np.sqrt(3.0)))
+
+
+def fair(
+    surface: Surface,
+    particles: Float[np.ndarray, "n 3"],
+    *,
+    max_area: float = 0.7,
+    min_area: float = 0.1,
+    clearance: float = 0.15,
+) -> tuple[Surface, Remeshing]:
+    """Fair the surface: the paper's phases in the paper's order, and swaps once more.
+
+    Subdivision of the triangles that are too large (until none is), edge swaps, and
+    collapse of those that are too small. Where something was collapsed the edges are
+    swapped again, as a collapse leaves vertices of high valence behind; the paper
+    does so in its next iteration.
+
+    Lengths are in r0, areas in r0². The lower bound must leave room under the upper
+    one: a T-shape cuts a triangle just over ``max_area`` into halves.
+
+    Args:
+        surface: The live patch of membrane, pinned at its rim.
+        particles: Live particles, all on one side of it, where they stay.
+        max_area: Triangles above it are subdivided.
+        min_area: Triangles below it are collapsed, if that can be done safely.
+        clearance: No swap or collapse may bring particle and surface nearer than this,
+            nor any nearer where they are nearer already.
+
+    Returns:
+        The new surface, and what was done as data: `Remeshing.apply` of the old
+        vertices gives the new ones exactly.
+
+    Raises:
+        ValueError: The area bounds leave no room between them, or the surface is not
+            an oriented manifold.
+    """
+    if not 0 <= 4 * min_area <= max_area:
+        raise ValueError(
+            f"min_area {min_area} and max_area {max_area} must satisfy "
+            "0 <= 4 min_area <= max_area, or fairing would undo its own work."
+        )
+    side = equilateral_side(max_area)
+    surface, subdivided = subdivide_all(surface, max_area, LONG_EDGE * side)
+    surface, swapped = swap(surface, particles, clearance=clearance)
+    surface, collapsed = collapse(
+        surface,
+        particles,
+        min_area=min_area,
+        max_area=max_area,
+        min_edge=SHORT_EDGE * side,
+        max_edge=LONG_EDGE * side,
+        clearance=clearance,
+    )
+    done = subdivided.then(swapped).then(collapsed)
+    if collapsed.counts["collapsed"]:
+        surface, again = swap(surface, particles, clearance=clearance)
+        refused = {n: c for n, c in again.counts.items() if n != "swapped"}
+        done = done.then(again)
+        done.counts.update(refused)
+    return surface, done
+
+
+def refine(
+    surface: Surface, max_area: float, *, max_swap_rounds: int = 8
+) -> tuple[Surface, Remeshing]:
+    """Bring a coarse patch to the particles' scale, with no particles there yet.
+
+    Subdivision passes with swaps between them, and a last subdivision that reaches the
+    bound: no triangle with an edge off the rim is over it at the end.
+
+    It ends: swaps follow only as many passes as the largest triangle needs to get
+    under the bound, and every pass after that halves what is over it. Rim edges are
+    never split, so the triangles at a rim edge that is long against sqrt(max_area)
+    become flat: cut the patch where its edges are short, or refine the whole organ.
+
+    Args:
+        surface: An oriented manifold with or without rim.
+        max_area: Area bound (length²), positive.
+        max_swap_rounds: Bound on the rounds of swaps between two passes.
+
+    Returns:
+        The refined surface, and the map to it.
+
+    Raises:
+        ValueError: The bound is not positive.
+    """
+    if not max_area > 0:
+        raise ValueError(f"max_area is {max_area}; the area bound must be positive.")
+    nobody = np.zeros((0, 3))
+    done = Remeshing.unchanged(surface)
+    largest = areas(surface.vertices[surface.faces]).max(initial=0.0)
+    for _ in range(int(np.ceil(np.log2(max(largest / max_area, 1.0))))):
+        faces = len(surface.faces)
+        surface, step = subdivide(surface, max_area)
+        if len(surface.faces) == faces:
+            break
+        surface, swaps = swap(surface, nobody, max_rounds=max_swap_rounds)
+        done = done.then(step).then(swaps)
+    surface, step = subdivide_all(surface, max_area)
+    return surface, done.then(step)

@@ -1,0 +1,120 @@
+"""Exact distance from points to triangles and to a mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
+
+from jaxgrow.mesh.quality import area_vectors, lengths
+
+
+def closest_on_triangles(
+    points: Float[np.ndarray, "n 3"], triangles: Float[np.ndarray, "n 3 3"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
+    """Distance of point i to triangle i, and where on the triangle it is reached.
+
+    The foot of the perpendicular, where it falls inside; otherwise the nearest of
+    the three sides. So every Voronoi region is covered, and degenerate triangles
+    (segments, points) are too: their interior is never asked.
+
+    Args:
+        points: Positions.
+        triangles: Corners, in the same unit of length.
+
+    Returns:
+        Distances, and barycentric weights (non-negative, sum 1) of the closest point.
+    """
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    best = np.full(len(points), np.inf)
+    weights = np.zeros((len(points), 3))
+    rows = np.arange(len(points))
+    for i, (p, q) in enumerate(((a, b), (b, c), (c, a))):
+        side = q - p
+        square = np.einsum("ni,ni->n", side, side)
+        along = np.einsum("ni,ni->n", points - p, side)
+        t = np.clip(along / np.where(square > 0, square, 1.0), 0.0, 1.0)
+        gap = points - p - t[:, None] * side
+        square = np.einsum("ni,ni->n", gap, gap)
+        nearer = square < best
+        best = np.where(nearer, square, best)
+        hit = rows[nearer]
+        weights[hit] = 0.0
+        weights[hit, i] = 1.0 - t[hit]
+        weights[hit, (i + 1) % 3] = t[hit]
+
+    normal = area_vectors(triangles)
+    square = np.einsum("ni,ni->n", normal, normal)
+    area = np.where(square > 0, square, 1.0)
+    foot = []
+    for p, q in ((b, c), (c, a), (a, b)):
+        part = area_vectors(np.stack([points, p, q], axis=1))
+        foot.append(np.einsum("ni,ni->n", part, normal) / area)
+    inner = np.stack(foot, axis=1)
+    height = np.einsum("ni,ni->n", points - a, normal) / np.sqrt(area)
+    inside = (square > 0) & (inner > 0).all(axis=1) & (height**2 <= best)
+    inner = inner / np.where(inside, inner.sum(axis=1), 1.0)[:, None]
+    distance = np.where(inside, np.abs(height), np.sqrt(best))
+    return distance, np.where(inside[:, None], inner, weights)
+
+
+def nearest_on_mesh(
+    points: Float[np.ndarray, "n 3"],
+    vertices: Float[np.ndarray, "m 3"],
+    faces: Int[np.ndarray, "f 3"],
+) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
+    """Exact distance to a mesh, the face where it is reached, and the closest point.
+
+    Triangles are sorted into classes of like size. In each class the triangles with
+    the nearest centres give an upper bound d, and every triangle whose centre is
+    within d plus the class's radius is measured. Nothing nearer can be missed.
+
+    Args:
+        points: Positions.
+        vertices: Mesh vertices, in the same unit.
+        faces: Mesh faces, at least one.
+
+    Returns:
+        Distances, face indices, closest points. Among equally near faces (a closest
+        point on an edge) any one may be named.
+
+    Raises:
+        ValueError: The mesh has no face.
+    """
+    if not len(faces):
+        raise ValueError("the mesh has no face; a distance to nothing is undefined.")
+    triangles = vertices[faces]
+    centre = triangles.mean(axis=1)
+    radius = lengths(triangles - centre[:, None]).max(axis=1)
+    best = np.full(len(points), np.inf)
+    face = np.zeros(len(points), dtype=np.int64)
+    weights = np.zeros((len(points), 3))
+
+    def measure(rows: Int[np.ndarray, " p"], tried: Int[np.ndarray, " p"]) -> None:
+        """Measure pairs and keep what is nearer; pairs come sorted by row."""
+        distance, weight = closest_on_triangles(points[rows], triangles[tried])
+        order = np.lexsort((distance, rows))
+        first = order[np.unique(rows[order], return_index=True)[1]]
+        first = first[distance[first] < best[rows[first]]]
+        best[rows[first]] = distance[first]
+        face[rows[first]] = tried[first]
+        weights[rows[first]] = weight[first]
+
+    sizes = np.ceil(np.log2(np.maximum(radius, radius.max() * 1e-6 + 1e-300)))
+    everyone = np.arange(len(points))
+    for size in np.unique(sizes):
+        members = np.flatnonzero(sizes == size)
+        tree = KDTree(centre[members])
+        k = min(3, len(members))
+        _, near = tree.query(points, k=k)
+        measure(np.repeat(everyone, k), members[near.ravel()])
+        reach = best + radius[members].max()
+        found = tree.query_ball_point(points, reach)
+        count = np.fromiter(map(len, found), dtype=np.int64, count=len(found))
+        rows = np.repeat(everyone, count)
+        tried = members[np.concatenate([*found, []]).astype(np.int64)]
+        gap = lengths(points[rows] - centre[tried]) - radius[tried]
+        keep = gap < best[rows]
+        measure(rows[keep], tried[keep])
+    closest = np.einsum("nk,nki->ni", weights, triangles[face])
+    return best, face, closest
