@@ -1,0 +1,126 @@
+"""Division of one tumour particle: the only active process (paper §4)."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxgrow.numerics import safe_norm
+from jaxgrow.parameters import Parameters
+from jaxgrow.state import Membrane, Particles, Species
+
+
+HALF_DISTANCE = 0.5
+"""Distance, in r0, by which a dividing myoma particle and its daughter move apart."""
+
+
+class Division(NamedTuple):
+    """The discrete choices of one division, enough to replay it.
+
+    Attributes:
+        slot: of the new particle.
+        parent: of a myoma; -1 for a polyp, whose parent is the source vertex.
+        offset: of a myoma's new particle from where its parent was, in r0.
+    """
+
+    slot: int
+    parent: int = -1
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def point_on_sphere(rng: np.random.Generator) -> Float[np.ndarray, "3"]:
+    """A point uniform on the unit sphere (Marsaglia 1972, the paper's reference 6)."""
+    while True:
+        a, b = rng.uniform(-1.0, 1.0, 2)
+        square = a * a + b * b
+        if square < 1:
+            root = 2 * np.sqrt(1 - square)
+            return np.array([a * root, b * root, 1 - 2 * square])
+
+
+def source_normal(membrane: Membrane) -> Float[Array, "3"]:
+    """Unit normal of the membrane at its source, into the lumen.
+
+    The mean over the triangles around the source, weighted by their areas.
+    """
+    corners = membrane.vertices[membrane.faces]
+    edges = corners[:, 1:] - corners[:, :1]
+    area = jnp.cross(edges[:, 0], edges[:, 1])
+    touching = jnp.any(membrane.faces == membrane.source, axis=1)
+    here = touching & membrane.face_alive
+    total = jnp.sum(jnp.where(here[:, None], area, 0), axis=0)
+    length = safe_norm(total)
+    return total / jnp.where(length > 0, length, 1)
+
+
+@eqx.filter_jit
+def divide_polyp(
+    particles: Particles,
+    membrane: Membrane,
+    slot: Int[Array, ""],
+    parameters: Parameters,
+) -> Particles:
+    """The source vertex emits a tumour particle: x = x_source - δ n.
+
+    It is put a little inside the tissue, "to ensure that it will never fall outside
+    the endometrium"; relaxation pushes it further in.
+    """
+    start = membrane.vertices[membrane.source]
+    new = start - parameters.daughter_offset * source_normal(membrane)
+    return _born(particles, slot, new)
+
+
+@eqx.filter_jit
+def divide_myoma(
+    particles: Particles,
+    parent: Int[Array, ""],
+    slot: Int[Array, ""],
+    offset: Float[Array, "3"],
+) -> Particles:
+    """A tumour particle becomes two, at x + offset (the new one) and x - offset."""
+    centre = particles.position[parent]
+    moved = eqx.tree_at(
+        lambda p: p.position,
+        particles,
+        particles.position.at[parent].set(centre - offset),
+    )
+    return _born(moved, slot, centre + offset)
+
+
+def choose_myoma(
+    tumour: Int[np.ndarray, " t"],
+    slot: int,
+    clearance: Float[np.ndarray, " t"],
+    rng: np.random.Generator,
+) -> Division:
+    """Draw the particle that divides and the direction, both uniform.
+
+    The two move apart by r0/2 each. A particle near the membrane moves by 0.4 of its
+    distance to it at most: both halves stay on their side, which the paper's rule
+    alone does not ensure.
+
+    Args:
+        tumour: slots of the tumour particles alive.
+        slot: of the new particle.
+        clearance: distance of each tumour particle to the membrane, in r0; infinite
+            without one.
+        rng: draws both.
+    """
+    index = int(rng.integers(len(tumour)))
+    length = min(HALF_DISTANCE, 0.4 * float(clearance[index]))
+    x, y, z = length * point_on_sphere(rng)
+    return Division(slot, int(tumour[index]), (float(x), float(y), float(z)))
+
+
+def _born(
+    particles: Particles, slot: Int[Array, ""], position: Float[Array, "3"]
+) -> Particles:
+    """The particles with a new tumour particle in a free slot."""
+    return Particles(
+        position=particles.position.at[slot].set(position),
+        species=particles.species.at[slot].set(int(Species.TUMOUR)),
+        alive=particles.alive.at[slot].set(True),
+        held=particles.held.at[slot].set(False),
+    )

@@ -1,0 +1,218 @@
+r"""Energy of the contact between particles and membrane (paper §4, "Adapt surface").
+
+All particles act on the surface by their exact distance to it, "not just to the
+particles on the surface". With :math:`u_i = d_i / r_s`, the distance of particle i in
+contact ranges,
+
+.. math::
+    E = \sum_i r_s \left( c\, U_{\alpha_c}(u_i) + \kappa\, b(u_i) \right), \qquad
+    b(u) = -(u - \hat u)^2 \ln(u / \hat u) \;\; (u < \hat u), \; 0 \text{ beyond}
+
+with U of `A2`. The A2 force is bounded, so it alone cannot keep a particle in; the
+logarithmic barrier b does (with the displacement bound of `jaxgrow.equilibrium`).
+
+The distance is a smooth minimum. The exact one, :math:`\min_t d_t` over the triangles,
+has kinks on the medial axis of the surface, and inside a fold or under a tip a particle
+is pushed precisely there, so that equilibria are not smooth and relaxation never ends.
+With q half of the sharpness p and the reach :math:`R = 3/2` in contact ranges,
+
+.. math::
+    u = \left( \Big( \sum_t a_t^2 \Big)^{1/2} + R^{-q} \right)^{-1/q}, \qquad
+    a_t = \max(0, u_t^{-q} - R^{-q}), \qquad u_t = d_t / r_s
+
+- one triangle gives exactly :math:`\min(u_t, R)`, and more never overestimate it;
+- the error is relative: n triangles equally far give a factor of at least
+  :math:`n^{-1/p}`, so u vanishes only where the exact distance does, and the barrier
+  stays meaningful (a log-sum-exp, with its absolute error, turns negative under a
+  vertex of the membrane);
+- it tends to :math:`\min_t u_t` as p grows;
+- it is continuously differentiable below R (at R the force is 0), and triangles beyond
+  the reach do not count at all, so that a list of the near ones is exact.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxgrow.energy.a2 import A2, CUTOFF
+from jaxgrow.energy.distance import point_triangle_distance
+from jaxgrow.numerics import safe_norm
+from jaxgrow.parameters import Parameters
+from jaxgrow.state import Membrane, Particles
+from jaxgrow.types import Scalar
+
+
+class Contacts(eqx.Module):
+    """Pairs of a particle and a triangle that may be within reach of each other.
+
+    Attributes:
+        particle: index of the particle of each pair, ascending.
+        face: index of its triangle.
+        real: False for padding.
+        reference: particle positions and vertices when the list was made.
+        overflow: whether it was too small; then it must not be used.
+    """
+
+    particle: Int[Array, " p"]
+    face: Int[Array, " p"]
+    real: Bool[Array, " p"]
+    reference: tuple[Float[Array, "n 3"], Float[Array, "m 3"]]
+    overflow: Bool[Array, ""]
+
+
+def reach(parameters: Parameters) -> Scalar:
+    """Distance, in r0, from which on particle and membrane do not interact."""
+    return CUTOFF * parameters.contact_range
+
+
+def _candidates(
+    particles: Particles, membrane: Membrane, radius: Scalar
+) -> Bool[Array, "n f"]:
+    """Pairs whose distance may be below `radius`, by the spheres around triangles."""
+    corners = membrane.vertices[membrane.faces]
+    centre = jnp.mean(corners, axis=1)
+    size = jnp.max(safe_norm(corners - centre[:, None, :]), axis=1)
+    near = jnp.zeros((particles.position.shape[0], centre.shape[0]), centre.dtype)
+    for axis in range(3):
+        near += (particles.position[:, axis, None] - centre[None, :, axis]) ** 2
+    within = near < ((radius + size) ** 2)[None, :]
+    return within & particles.alive[:, None] & membrane.face_alive[None, :]
+
+
+_CANDIDATES_PER_CONTACT = 3
+"""Pairs by the spheres around triangles for each pair by exact distance, at most."""
+
+
+def count_contacts(
+    particles: Particles, membrane: Membrane, radius: Scalar
+) -> Int[Array, ""]:
+    """How many pairs the spheres leave: an upper bound of what a list holds."""
+    return jnp.sum(_candidates(particles, membrane, radius))
+
+
+def list_contacts(
+    particles: Particles, membrane: Membrane, radius: Scalar, capacity: int
+) -> Contacts:
+    """All pairs closer than `radius` (in r0), ordered by particle.
+
+    Spheres around the triangles leave candidates, exact distances decide.
+    """
+    within = _candidates(particles, membrane, radius)
+    size = _CANDIDATES_PER_CONTACT * capacity
+    particle, face = jnp.nonzero(within, size=size, fill_value=0)
+    candidates = jnp.sum(within)
+    point = particles.position[particle]
+    corners = membrane.vertices[membrane.faces[face]]
+    near = point_triangle_distance(point, corners) < radius
+    near &= jnp.arange(size) < candidates
+    (chosen,) = jnp.nonzero(near, size=capacity, fill_value=0)
+    count = jnp.sum(near)
+    real = jnp.arange(capacity) < count
+    last = particles.position.shape[0] - 1
+    return Contacts(
+        particle=jnp.where(real, particle[chosen], last),
+        face=face[chosen],
+        real=real,
+        reference=(particles.position, membrane.vertices),
+        overflow=(count > capacity) | (candidates > size),
+    )
+
+
+def contact_distances(
+    particles: Particles, membrane: Membrane, contacts: Contacts
+) -> Float[Array, " p"]:
+    """Exact distance of every listed pair, in r0; infinite for padding."""
+    point = particles.position[contacts.particle]
+    corners = membrane.vertices[membrane.faces[contacts.face]]
+    distance = point_triangle_distance(point, corners)
+    return jnp.where(contacts.real, distance, jnp.inf)
+
+
+def smooth_distance(
+    distance: Float[Array, " p"],
+    contacts: Contacts,
+    count: int,
+    parameters: Parameters,
+) -> Float[Array, " n"]:
+    """Smooth minimum per particle of the listed distances, in contact ranges.
+
+    Args:
+        distance: exact distance of every pair, in r0, infinite for padding.
+        contacts: whose pairs these are.
+        count: number of particles n.
+        parameters: contact range and sharpness are used.
+
+    Returns:
+        u as in the module's formula; the reach 3/2 where no triangle is nearer.
+    """
+    u = jnp.where(contacts.real, distance, CUTOFF) / parameters.contact_range
+    u = jnp.where(contacts.real, u, CUTOFF)
+    half = parameters.contact_sharpness / 2
+    nearest = jax.ops.segment_min(u, contacts.particle, count, indices_are_sorted=True)
+    # the formula is homogeneous: measured in the nearest distance nothing overflows
+    unit = jax.lax.stop_gradient(jnp.clip(nearest, 1e-9, CUTOFF))
+    unit_of_pair = unit[contacts.particle]
+    far = (unit / CUTOFF) ** half
+    positive = jnp.maximum(u, 1e-9)
+    excess = (unit_of_pair / positive) ** half - far[contacts.particle]
+    square = jnp.where(contacts.real, jnp.maximum(excess, 0) ** 2, 0)
+    total = jax.ops.segment_sum(
+        square, contacts.particle, count, indices_are_sorted=True
+    )
+    some = total > 0
+    norm = jnp.where(some, jnp.sqrt(jnp.where(some, total, 1)), 0)
+    return jnp.where(some, unit * (norm + far) ** (-1 / half), CUTOFF)
+
+
+def barrier(u: Float[Array, "*n"], parameters: Parameters) -> Float[Array, "*n"]:
+    """The barrier b(u): infinite at 0, twice differentiable where it sets in."""
+    edge = parameters.barrier_range
+    inside = u < edge
+    safe = jnp.where(inside, jnp.maximum(u, 1e-12), edge)
+    return jnp.where(inside, -((safe - edge) ** 2) * jnp.log(safe / edge), 0)
+
+
+def contact_energy(
+    particles: Particles,
+    membrane: Membrane,
+    contacts: Contacts,
+    parameters: Parameters,
+) -> Float[Array, ""]:
+    """Energy in F(0) r0."""
+    distance = contact_distances(particles, membrane, contacts)
+    count = particles.position.shape[0]
+    u = smooth_distance(distance, contacts, count, parameters)
+    law = A2(parameters.contact_adhesion, parameters.smoothing)
+    each = parameters.contact_stiffness * law.energy(u)
+    each += parameters.barrier_stiffness * barrier(u, parameters)
+    return parameters.contact_range * jnp.sum(jnp.where(particles.alive, each, 0))
+
+
+def clearances(
+    distance: Float[Array, " p"],
+    contacts: Contacts,
+    membrane: Membrane,
+    count: int,
+) -> tuple[Float[Array, " n"], Float[Array, " m"]]:
+    """Distance of every particle to the membrane, of every vertex to the particles.
+
+    The clearance of a vertex is that of its triangles: if no particle and no vertex
+    moves by half of its clearance, no particle meets a triangle anywhere on the way.
+
+    Args:
+        distance: exact distance of every listed pair, in r0.
+        contacts: whose pairs these are.
+        membrane: whose faces are listed.
+        count: number of particles n.
+
+    Returns:
+        Both in r0, infinite where nothing is listed.
+    """
+    of_particle = jax.ops.segment_min(
+        distance, contacts.particle, count, indices_are_sorted=True
+    )
+    of_face = jax.ops.segment_min(distance, contacts.face, membrane.faces.shape[0])
+    of_face = jnp.where(membrane.face_alive, of_face, jnp.inf)
+    of_vertex = jnp.full(membrane.vertices.shape[0], jnp.inf, distance.dtype)
+    return of_particle, of_vertex.at[membrane.faces].min(of_face[:, None])

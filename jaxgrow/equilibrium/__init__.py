@@ -1,0 +1,1 @@
+"""Equilibria of the energy, to a stated largest force."""

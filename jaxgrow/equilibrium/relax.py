@@ -1,0 +1,220 @@
+"""Relaxation: the equilibrium of particles, of a membrane, or of both together."""
+
+import math
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxgrow import neighbors as nb
+from jaxgrow.capacity import capacity_for
+from jaxgrow.energy.contact import (
+    Contacts,
+    count_contacts,
+    list_contacts,
+    reach,
+)
+from jaxgrow.equilibrium.descent import descend, Descent, Minimiser
+from jaxgrow.equilibrium.fire import FIRE
+from jaxgrow.equilibrium.lbfgs import LBFGS
+from jaxgrow.equilibrium.problem import CONTACT_SKIN, Lists, Problem
+from jaxgrow.parameters import Parameters
+from jaxgrow.results import Result
+from jaxgrow.state import Membrane, Particles
+
+
+Method = Literal["auto", "lbfgs", "fire"]
+
+LARGEST_STEP = 0.1
+"""Longest displacement of a node in one step, in r0."""
+
+
+class RelaxationStats(NamedTuple):
+    """What a relaxation took.
+
+    Attributes:
+        residual: largest force on a free node, in F(0).
+        steps: steps made, over all methods and retries.
+        overflows: how often a list was too small and was allocated anew.
+        method: the method that ended it.
+    """
+
+    residual: float
+    steps: int
+    overflows: int
+    method: str
+
+
+class Relaxation(NamedTuple):
+    """Outcome of `relax`; `lists` may be passed to the next call."""
+
+    state: tuple[Particles | None, Membrane | None]
+    result: Result
+    stats: RelaxationStats
+    lists: Lists
+
+
+_descend = eqx.filter_jit(descend)
+_count_contacts = eqx.filter_jit(count_contacts)
+
+
+@eqx.filter_jit
+def _list_contacts(
+    particles: Particles, membrane: Membrane, radius: Array, *, capacity: int
+) -> Contacts:
+    return list_contacts(particles, membrane, radius, capacity)
+
+
+@eqx.filter_jit
+def _refresh(problem: Problem, lists: Lists) -> Lists:
+    return problem.update(problem.nodes(), lists)
+
+
+def allocate_lists(problem: Problem, before: Lists | None = None) -> Lists:
+    """Lists with room for the current state, and not smaller than before."""
+    neighbors = contacts = None
+    if problem.particles is not None:
+        known = None if before is None else before.neighbors
+        occupancy = 0 if known is None else known.max_occupancy
+        neighbors = nb.allocate(problem.particles.position, occupancy)
+    if problem.particles is not None and problem.membrane is not None:
+        known = None if before is None else before.contacts
+        radius = jnp.asarray(reach(problem.parameters) + CONTACT_SKIN)
+        candidates = _count_contacts(problem.particles, problem.membrane, radius)
+        least = 2048 if known is None else known.particle.shape[0]
+        capacity = capacity_for(int(candidates) // 2, least)
+        while contacts is None or bool(contacts.overflow):
+            contacts = _list_contacts(
+                problem.particles, problem.membrane, radius, capacity=capacity
+            )
+            capacity = capacity_for(capacity + 1, least)
+    return Lists(neighbors, contacts)
+
+
+def _fits(problem: Problem, lists: Lists) -> bool:
+    """Whether lists of an earlier problem have the shapes of this one."""
+    if lists.neighbors is not None:
+        if problem.particles is None:
+            return False
+        if lists.neighbors.idx.shape[0] != problem.particles.position.shape[0]:
+            return False
+    if lists.contacts is not None:
+        if problem.membrane is None or problem.particles is None:
+            return False
+        shapes = tuple(a.shape for a in lists.contacts.reference)
+        now = (problem.particles.position.shape, problem.membrane.vertices.shape)
+        return shapes == now
+    return (problem.particles is None) or (problem.membrane is None)
+
+
+def stale(lists: Lists) -> Lists:
+    """Lists that the next update rebuilds, because faces or species changed."""
+    if lists.contacts is None:
+        return lists
+    moved = jax.tree.map(lambda x: x + 1e6, lists.contacts.reference)
+    return eqx.tree_at(lambda a: a.contacts.reference, lists, moved)
+
+
+def relax(
+    particles: Particles | None,
+    membrane: Membrane | None = None,
+    *,
+    parameters: Parameters | None = None,
+    tolerance: float = 1e-3,
+    method: Method = "auto",
+    max_steps: int = 3000,
+    load: Float[Array, "m 3"] | None = None,
+    lists: Lists | None = None,
+) -> Relaxation:
+    """Bring particles and membrane to equilibrium: the largest force at a tolerance.
+
+    One energy, of pairs, springs and contact, is minimised over the positions of all
+    free particles and vertices together. (The paper relaxes the tissue and then the
+    surface under the forces that it accumulated; after a reset of rest lengths a flat
+    membrane has no linear stiffness out of its plane, and those dead loads throw it
+    far beyond the reach of the particles.)
+
+    No node moves farther in one step than 0.4 of its distance to what it must not
+    cross, so particles stay on their side of the membrane throughout.
+
+    Args:
+        particles: or None for a membrane alone.
+        membrane: or None for particles alone; then no membrane term is compiled.
+        parameters: of the energy; the default `Parameters()`.
+        tolerance: largest force on a free node at the end, in F(0).
+        method: "lbfgs", "fire", or "auto": L-BFGS, then FIRE if it does not converge.
+        max_steps: bound on the steps of each method.
+        load: external force on every vertex, in F(0).
+        lists: of an earlier call, to spare their allocation.
+
+    Returns:
+        state, result, stats and lists. When the result is not CONVERGED the state is
+        the last valid one, and its residual is in the stats.
+
+    Raises:
+        ValueError: there is nothing to relax, the tolerance is not positive, or the
+            method is unknown.
+    """
+    if particles is None and membrane is None:
+        raise ValueError("nothing to relax: give particles, a membrane, or both.")
+    if not tolerance > 0:
+        raise ValueError(f"tolerance is {tolerance}; it must be a positive force.")
+    methods: dict[str, list[tuple[str, Minimiser]]] = {
+        "lbfgs": [("lbfgs", LBFGS())],
+        "fire": [("fire", FIRE())],
+        "auto": [("lbfgs", LBFGS()), ("fire", FIRE())],
+    }
+    if method not in methods:
+        raise ValueError(f"method is {method!r}; it must be one of {list(methods)}.")
+    problem = Problem(particles, membrane, parameters or Parameters(), load)
+    if lists is None or not _fits(problem, lists):
+        lists = allocate_lists(problem)
+    stats = RelaxationStats(math.inf, 0, 0, method)
+    result = Result.STEP_LIMIT
+    for name, minimiser in methods[method]:
+        outcome, steps, overflows = _run(
+            problem, lists, minimiser, tolerance, max_steps
+        )
+        problem, lists = problem.at(outcome.nodes), outcome.lists
+        result = Result.of(int(outcome.code))
+        stats = RelaxationStats(
+            float(outcome.residual),
+            stats.steps + steps,
+            stats.overflows + overflows,
+            name,
+        )
+        if result is not Result.STEP_LIMIT:
+            break
+    return Relaxation((problem.particles, problem.membrane), result, stats, lists)
+
+
+def _run(
+    problem: Problem,
+    lists: Lists,
+    minimiser: Minimiser,
+    tolerance: float,
+    max_steps: int,
+) -> tuple[Descent, int, int]:
+    """One method, with every list that overflows allocated anew and larger."""
+    dtype = jax.tree.leaves(problem.nodes())[0].dtype
+    steps = overflows = 0
+    while True:
+        lists = _refresh(problem, lists)
+        if bool(lists.overflow):
+            lists = allocate_lists(problem, lists)
+        outcome = _descend(
+            problem,
+            lists,
+            minimiser,
+            jnp.asarray(tolerance, dtype),
+            jnp.asarray(max_steps - steps),
+            jnp.asarray(LARGEST_STEP, dtype),
+        )
+        steps += int(outcome.steps)
+        if Result.of(int(outcome.code)) is not Result.OVERFLOW:
+            return outcome, steps, overflows
+        overflows += 1
+        problem = problem.at(outcome.nodes)
+        lists = allocate_lists(problem, lists)

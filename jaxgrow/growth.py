@@ -1,0 +1,153 @@
+"""What a growth returns: state, result, history, and the organ's mesh with it."""
+
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from jaxgrow.division import Division
+from jaxgrow.lesion import lesion_vertices
+from jaxgrow.mesh.surface import Remeshing
+from jaxgrow.organ import merge, Merged, Organ, Site
+from jaxgrow.planting import Ground
+from jaxgrow.results import Result
+from jaxgrow.scene import Scene
+from jaxgrow.state import State
+from jaxgrow.transfer import get, get_particles, get_surface
+
+
+if TYPE_CHECKING:
+    import trimesh
+
+
+class Event(NamedTuple):
+    """The discrete choices of one growth step.
+
+    Attributes:
+        division: who divided, and where to.
+        remeshing: what fairing did; None without a membrane.
+    """
+
+    division: Division
+    remeshing: Remeshing | None
+
+
+class Progress(NamedTuple):
+    """Where a running growth stands, for a progress bar.
+
+    Attributes:
+        divisions: made so far.
+        size_mm: largest diameter of the lesion now.
+        target_mm: size asked for, or None.
+        target_divisions: divisions asked for, or None.
+        residual: largest force left by the last relaxation, in F(0).
+        seconds: since the start.
+    """
+
+    divisions: int
+    size_mm: float
+    target_mm: float | None
+    target_divisions: int | None
+    residual: float
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Growth:
+    """A grown lesion.
+
+    Attributes:
+        scene: what was asked for.
+        seed: of all random choices.
+        tolerance: largest force left in every equilibrium, in F(0).
+        state: at the end; lengths in r0.
+        result: why it ended.
+        size_mm: largest diameter of the lesion.
+        events: the discrete choices of every step.
+        history: one record a division: size, steps, residual, counts, seconds, …
+        seconds: by phase.
+        compilations: number of programs compiled.
+        ground: the organ around it; None for a free cluster.
+        organ_index: for each membrane vertex alive the organ's vertex it was, or -1.
+    """
+
+    scene: Scene
+    seed: int
+    tolerance: float
+    state: State
+    result: Result
+    size_mm: float
+    events: tuple[Event, ...]
+    history: tuple[dict[str, Any], ...]
+    seconds: dict[str, float]
+    compilations: int
+    ground: Ground | None = None
+    organ_index: Int[np.ndarray, " m"] = field(
+        default_factory=lambda: np.zeros(0, dtype=np.int64)
+    )
+
+    @property
+    def organ(self) -> Organ | None:
+        """The organ before growth."""
+        return None if self.ground is None else self.ground.organ
+
+    @property
+    def site(self) -> Site | None:
+        """Where the lesion grew."""
+        return None if self.ground is None else self.ground.site
+
+    def particles(self) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
+        """Positions in mm, in the organ's coordinates, and species of the living."""
+        position, species = get_particles(self.state.particles)
+        frame = self.state.frame
+        return get(frame.origin) + float(frame.particle_mm) * position, species
+
+    def merged(self) -> Merged:
+        """The whole organ with the grown patch in place of the original one.
+
+        Raises:
+            ValueError: the cluster grew freely, so there is no organ.
+        """
+        if self.ground is None or self.state.membrane is None:
+            raise ValueError(
+                "this cluster grew without an organ, so it has no surface; "
+                "use growth.particles(), or give the scene an organ."
+            )
+        surface = get_surface(self.state.membrane)
+        patch = self.ground.patch
+        return merge(
+            self.ground.organ,
+            patch,
+            patch.to_mm(surface.vertices),
+            surface.faces,
+            self.organ_index,
+        )
+
+    def surface(
+        self,
+    ) -> tuple[
+        Float[np.ndarray, "m 3"], Int[np.ndarray, "f 3"], UInt8[np.ndarray, " m"]
+    ]:
+        """Vertices (mm), faces and labels (0 healthy, 1 lesion) of the whole organ.
+
+        Raises:
+            ValueError: the cluster grew freely, so there is no organ.
+        """
+        merged = self.merged()
+        label = np.zeros(len(merged.vertices), dtype=np.uint8)
+        label[merged.placed] = lesion_vertices(self.state)
+        return merged.vertices, merged.faces, label
+
+    def mesh(self) -> "trimesh.Trimesh":
+        """The whole organ with the lesion; `vertex_attributes["label"]` marks it.
+
+        Raises:
+            ValueError: the cluster grew freely, so there is no organ.
+        """
+        import trimesh
+
+        vertices, faces, label = self.surface()
+        return trimesh.Trimesh(
+            vertices, faces, process=False, vertex_attributes={"label": label}
+        )

@@ -1,0 +1,29 @@
+"""Guards for the few points where a formula of the model is singular."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+
+def safe_divide(
+    numerator: Float[Array, "*shape"],
+    denominator: Float[Array, "*shape"],
+    where: Bool[Array, "*shape"],
+) -> Float[Array, "*shape"]:
+    """Quotient where ``where`` holds, 0 elsewhere, with finite derivatives in both.
+
+    The denominator, not the quotient, is replaced: a ``where`` around the quotient
+    alone lets the NaN of the branch not taken through into the derivative.
+    """
+    return jnp.where(where, numerator / jnp.where(where, denominator, 1), 0)
+
+
+def safe_norm(vector: Float[Array, "*shape 3"]) -> Float[Array, "*shape"]:
+    """Euclidean length, with gradient 0 (not NaN) at the null vector.
+
+    The singularity is the direction of a vector of length 0: two particles at the
+    same position, a spring of length 0, a particle on the membrane. A vector that is
+    not finite keeps a length that is not.
+    """
+    square = jnp.sum(vector**2, axis=-1)
+    some = square != 0
+    return jnp.where(some, jnp.sqrt(jnp.where(some, square, 1)), 0)

@@ -1,0 +1,53 @@
+"""Why a computation ended: the sentence that a user reads."""
+
+import enum
+from typing import SupportsInt
+
+
+class Result(enum.Enum):
+    """The outcome of a relaxation or of a growth.
+
+    Compiled code carries `code`; `Result.of` turns it back. Only CONVERGED and
+    REACHED are successes.
+    """
+
+    CONVERGED = (0, "The equilibrium was reached.")
+    REACHED = (1, "The lesion has the size that was asked for.")
+    STEP_LIMIT = (
+        2,
+        "The forces did not fall below the tolerance within the allowed number of "
+        "steps; allow more steps or ask for a larger tolerance.",
+    )
+    NON_FINITE = (
+        3,
+        "A position or force became infinite or NaN; use softer springs, or start "
+        "from a state without overlaps.",
+    )
+    OVERFLOW = (4, "A neighbour or contact list was too small and could not grow.")
+    DIVISION_LIMIT = (
+        5,
+        "The allowed number of divisions was used up before the lesion had its size.",
+    )
+    EVAPORATED = (
+        6,
+        "Particles flew apart, out of reach of each other; use a smaller step or "
+        "less adhesion.",
+    )
+
+    def __init__(self, code: int, sentence: str) -> None:
+        self.code = code
+        self.sentence = sentence
+
+    @classmethod
+    def of(cls, code: SupportsInt) -> "Result":
+        """The member that has this code."""
+        return next(member for member in cls if member.code == int(code))
+
+    @property
+    def success(self) -> bool:
+        """Whether what was asked for was reached."""
+        return self in (Result.CONVERGED, Result.REACHED)
+
+    def __str__(self) -> str:
+        """The sentence itself."""
+        return self.sentence

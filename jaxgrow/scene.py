@@ -1,0 +1,251 @@
+"""What to grow: organ, lesion and parameters; read, validated and explained.
+
+Lengths of a scene are in millimetres, except in `Surroundings` and `Parameters`, which
+speak in r0, the diameter of a particle.
+"""
+
+import dataclasses
+import difflib
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+import pydantic
+
+from jaxgrow.organ.organ import Organ
+from jaxgrow.parameters import Parameters
+
+
+SITE_DEFAULT = "fundus"
+
+Site: TypeAlias = str | Annotated[tuple[float, float, float], pydantic.Strict(False)]
+Positive: TypeAlias = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)]
+
+
+class SceneError(ValueError):
+    """A scene that cannot be grown; its message is the sentence for the user."""
+
+
+class _Model(pydantic.BaseModel):
+    model_config = pydantic.ConfigDict(
+        frozen=True, strict=True, extra="forbid", arbitrary_types_allowed=True
+    )
+
+
+class Lesion(_Model):
+    """What polyp and myoma share.
+
+    Attributes:
+        size_mm: largest diameter at which growth ends; 10 mm if no number of divisions
+            is given either.
+        divisions: number of divisions after which growth ends, instead of a size.
+        particle_mm: r0, the distance at which two particles rest; the resolution.
+            By default a fraction of the size (`particles_across`), or 1 mm.
+        site: a named site of the organ, or x, y, z in mm near its surface.
+    """
+
+    size_mm: Positive | None = None
+    divisions: Annotated[int, pydantic.Field(ge=1)] | None = None
+    particle_mm: Positive | None = None
+    site: Site = SITE_DEFAULT
+
+    @pydantic.model_validator(mode="after")
+    def _one_end(self) -> "Lesion":
+        if self.size_mm is not None and self.divisions is not None:
+            raise ValueError("give size_mm or divisions, not both")
+        return self
+
+    @property
+    def particles_across(self) -> float:
+        """Particle diameters in the largest diameter of the lesion, by default."""
+        return 10.0
+
+    @property
+    def target_mm(self) -> float | None:
+        """Largest diameter asked for; None if a number of divisions is."""
+        if self.divisions is not None:
+            return None
+        return 10.0 if self.size_mm is None else self.size_mm
+
+    @property
+    def r0_mm(self) -> float:
+        """Length of r0 in mm."""
+        if self.particle_mm is not None:
+            return self.particle_mm
+        return 1.0 if self.target_mm is None else self.target_mm / self.particles_across
+
+
+class Polyp(Lesion):
+    """A local overgrowth of the surface: one of its vertices emits all particles.
+
+    Its size is the largest diameter of the surface raised above the former one.
+    """
+
+    kind: Literal["polyp"] = "polyp"
+
+
+class Myoma(Lesion):
+    """A dense ball under the surface: any of its particles may divide.
+
+    Its size is the largest diameter of its body of particles.
+
+    Attributes:
+        depth_mm: of its first particle under the surface; a quarter of its size by
+            default, so that it protrudes into the lumen.
+    """
+
+    kind: Literal["myoma"] = "myoma"
+    depth_mm: Positive | None = None
+
+    @property
+    def particles_across(self) -> float:
+        """Particle diameters in the largest diameter of the lesion, by default."""
+        return 8.0
+
+
+class Surroundings(_Model):
+    """How much of the organ around the site is simulated, and how finely; in r0.
+
+    Attributes:
+        radius: of the patch of surface, along the surface; chosen from the lesion's
+            size if None.
+        thickness: of the layer of tissue under it; chosen from the lesion if None.
+        density: of tissue particles, per r0³.
+        max_area: triangles larger than this (in r0²) are subdivided.
+        min_area: triangles smaller than this (in r0²) are collapsed.
+    """
+
+    radius: Positive | None = None
+    thickness: Positive | None = None
+    density: Positive = 1.7
+    max_area: Positive = 0.7
+    min_area: Positive = 0.1
+
+
+class Scene(_Model):
+    """All that decides a growth, but its seed and tolerance.
+
+    Attributes:
+        organ: "uterus" for the built-in one, the path of a mesh file, an `Organ`, or
+            None for a lesion that grows freely in space.
+        unit_mm: length of one unit of the organ's file, in mm.
+        tissue: on which side of the organ's surface its tissue lies: "outside" of a
+            hollow organ's inner surface, "inside" of a solid one.
+        lesion: a `Polyp` or a `Myoma`.
+        parameters: of the mechanics.
+        surroundings: of the lesion.
+    """
+
+    organ: Organ | Path | str | None = "uterus"
+    unit_mm: Positive = 1.0
+    tissue: Literal["outside", "inside"] = "outside"
+    lesion: Annotated[Polyp | Myoma, pydantic.Field(discriminator="kind")] = Polyp()
+    parameters: Parameters = pydantic.Field(default_factory=Parameters)
+    surroundings: Surroundings = Surroundings()
+
+    @pydantic.field_validator("parameters", mode="before")
+    @classmethod
+    def _parameters(cls, value: object) -> object:
+        if not isinstance(value, dict):
+            return value
+        known = [field.name for field in dataclasses.fields(Parameters)]
+        for name, number in value.items():
+            if name not in known:
+                raise ValueError(f"parameter {name!r} is unknown{_meant(name, known)}")
+            if isinstance(number, bool) or not isinstance(number, int | float):
+                raise ValueError(f"parameter {name} is {number!r}; give a number")
+        return Parameters(**value)
+
+    @pydantic.model_validator(mode="after")
+    def _polyps_need_a_surface(self) -> "Scene":
+        if self.organ is None and isinstance(self.lesion, Polyp):
+            raise ValueError("a polyp grows from a surface: give an organ, or a myoma")
+        return self
+
+    @property
+    def r0_mm(self) -> float:
+        """Length of r0 in mm."""
+        return self.lesion.r0_mm
+
+
+def load_scene(path: str | Path) -> Scene:
+    """The scene of a TOML file; a relative organ path is relative to that file.
+
+    Raises:
+        SceneError: the file cannot be read, is no TOML, or has a wrong entry; the
+            message names each with what is wanted.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise SceneError(
+            f"the scene {path} cannot be read: {_reason(error)}."
+        ) from error
+    try:
+        entries = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise SceneError(f"the scene {path} is not valid TOML: {error}.") from error
+    organ = entries.get("organ")
+    if isinstance(organ, str) and organ != "uterus":
+        entries["organ"] = str(path.parent / organ)
+    return make_scene(entries, source=str(path))
+
+
+def make_scene(entries: dict[str, Any], *, source: str) -> Scene:
+    """A scene from nested entries as TOML has them.
+
+    Args:
+        entries: keys as the fields of `Scene`.
+        source: where they come from, for the message.
+
+    Raises:
+        SceneError: names every wrong entry with what is wanted.
+    """
+    try:
+        return Scene(**entries)
+    except pydantic.ValidationError as error:
+        problems = "; ".join(_explain(problem) for problem in error.errors())
+        raise SceneError(f"{source}: {problems}.") from error
+
+
+def _reason(error: OSError | UnicodeDecodeError) -> str:
+    """Why a file cannot be read, in words."""
+    if isinstance(error, OSError):
+        return error.strerror or type(error).__name__
+    return "it is no UTF-8 text"
+
+
+def _explain(problem: Any) -> str:
+    """One mistake in words: where, what came, what is wanted."""
+    place = [str(part) for part in problem["loc"] if part not in ("polyp", "myoma")]
+    where = ".".join(place)
+    if problem["type"] == "extra_forbidden":
+        known = _fields_at(place[:-1])
+        return f"{where} is unknown{_meant(place[-1], known)}"
+    if problem["type"] == "value_error":
+        sentence = str(problem["ctx"]["error"]).rstrip(".")
+        return f"{where}: {sentence}" if where else sentence
+    message = problem["msg"]
+    message = message[0].lower() + message[1:]
+    return f"{where} is {problem['input']!r}: {message}"
+
+
+def _fields_at(place: list[str]) -> list[str]:
+    """Names that a table of a scene file may have."""
+    if not place:
+        return list(Scene.model_fields)
+    if place[0] == "lesion":
+        return list(Myoma.model_fields)
+    return list(Surroundings.model_fields)
+
+
+def _meant(name: str, known: Iterable[str]) -> str:
+    """A near miss, or all that is known."""
+    known = list(known)
+    near = [other for other in known if other.startswith(name)]
+    near += difflib.get_close_matches(name, known, n=1)
+    if near:
+        return f"; did you mean {near[0]}"
+    return f"; known are {', '.join(known)}"

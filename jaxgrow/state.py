@@ -1,0 +1,127 @@
+"""The state of a growth: immutable pytrees of fixed capacity, with masks.
+
+Lengths are in r0 and coordinates relative to the site of the lesion. A slot that is
+not alive is padding: it changes no energy, force or gradient.
+"""
+
+import enum
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+
+class Species(enum.IntEnum):
+    """What a particle is."""
+
+    TISSUE = 0
+    TUMOUR = 1
+
+
+class Particles(eqx.Module):
+    """Particles of tissue and tumour.
+
+    Attributes:
+        position: in r0.
+        species: a `Species` per particle.
+        alive: False for padding.
+        held: True for particles that never move (the bottom and sides of a patch).
+    """
+
+    position: Float[Array, "n 3"]
+    species: Int[Array, " n"]
+    alive: Bool[Array, " n"]
+    held: Bool[Array, " n"]
+
+    @property
+    def free(self) -> Bool[Array, " n"]:
+        """Particles that equilibrium may move."""
+        return self.alive & ~self.held
+
+
+class Membrane(eqx.Module):
+    """The triangulated surface that covers all tissue; its normals leave the tissue.
+
+    Attributes:
+        vertices: in r0.
+        faces: vertices of each triangle, counter-clockwise seen from the lumen.
+        edges: vertices of each edge, every edge once; its springs.
+        rest_length: of each edge, in r0.
+        vertex_alive: False for padding; likewise `face_alive`, `edge_alive`.
+        pinned: True for the vertices of the rim, which never move.
+        source: the vertex that emits a polyp's particles; -1 if there is none.
+    """
+
+    vertices: Float[Array, "m 3"]
+    faces: Int[Array, "f 3"]
+    edges: Int[Array, "e 2"]
+    rest_length: Float[Array, " e"]
+    vertex_alive: Bool[Array, " m"]
+    face_alive: Bool[Array, " f"]
+    edge_alive: Bool[Array, " e"]
+    pinned: Bool[Array, " m"]
+    source: Int[Array, ""]
+
+    @property
+    def free(self) -> Bool[Array, " m"]:
+        """Vertices that equilibrium may move."""
+        return self.vertex_alive & ~self.pinned
+
+
+class FormerSurface(eqx.Module):
+    """The surface of the patch before growth: heights are measured from it.
+
+    Attributes:
+        vertices: in r0.
+        faces: vertices of each triangle; normals into the lumen.
+    """
+
+    vertices: Float[Array, "k 3"]
+    faces: Int[Array, "g 3"]
+
+
+class Frame(eqx.Module):
+    """Where the simulated patch lies in the organ, and what its lengths mean.
+
+    Attributes:
+        origin: the site of the lesion in the organ's coordinates, in mm.
+        axis: unit normal of the former surface at the site, into the lumen.
+        particle_mm: r0 in mm.
+        former: the patch before growth; None for a free cluster.
+    """
+
+    origin: Float[Array, "3"]
+    axis: Float[Array, "3"]
+    particle_mm: Float[Array, ""]
+    former: FormerSurface | None
+
+
+class State(eqx.Module):
+    """All that a growth step changes; `membrane` is None for a free cluster."""
+
+    particles: Particles
+    membrane: Membrane | None
+    frame: Frame
+
+
+class Nodes(eqx.Module):
+    """Something per degree of freedom: positions, forces or a displacement, in one.
+
+    Attributes:
+        particles: one row a particle, or None for a membrane alone.
+        vertices: one row a membrane vertex, or None for particles alone.
+    """
+
+    particles: Float[Array, "n *_"] | None
+    vertices: Float[Array, "m *_"] | None
+
+
+def parked(count: int, start: int = 0) -> Float[Array, "n 3"]:
+    """Positions for padding slots, on a lattice far from everything.
+
+    They are apart from each other because particles parked at one point would fill
+    one cell of a neighbour list.
+    """
+    index = jnp.arange(start, start + count)
+    lattice = jnp.stack([index % 16, index // 16 % 16, index // 256], axis=1)
+    return 1e4 + 4.0 * lattice.astype(float)

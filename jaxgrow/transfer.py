@@ -1,0 +1,147 @@
+"""Crossing between host and device: `put_` goes to the device, `get_` comes back.
+
+Arrays on the device have a capacity that grows by factors of 3/2, so that a growth
+needs few compiled programs; the live rows are always the first ones. What growth does
+to positions stays on the device, so that it can be differentiated; only what is chosen
+(who divides, which edge is split) is decided on the host.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxgrow.capacity import capacity_for
+from jaxgrow.energy.springs import edge_length
+from jaxgrow.mesh.surface import average_parents, Remeshing, Surface
+from jaxgrow.mesh.topology import build_topology
+from jaxgrow.state import Membrane, parked, Particles
+
+
+def get(array: Array) -> np.ndarray:
+    """Values on the host, cut off from any derivative."""
+    return np.asarray(jax.lax.stop_gradient(array))
+
+
+def _padded(array: np.ndarray, capacity: int) -> np.ndarray:
+    """The array with rows of zeros (False) behind it."""
+    rows = [(0, capacity - len(array))] + [(0, 0)] * (array.ndim - 1)
+    return np.pad(array, rows)
+
+
+def put_particles(
+    position: Float[np.ndarray, "n 3"],
+    species: Int[np.ndarray, " n"],
+    held: Bool[np.ndarray, " n"],
+    capacity: int,
+) -> Particles:
+    """Particles on the device, with room for more."""
+    count = len(position)
+    padding = parked(capacity - count)
+    return Particles(
+        position=jnp.concatenate([jnp.asarray(position), padding]),
+        species=jnp.asarray(_padded(species, capacity)),
+        alive=jnp.arange(capacity) < count,
+        held=jnp.asarray(_padded(held, capacity)),
+    )
+
+
+def with_capacity(particles: Particles, capacity: int) -> Particles:
+    """The same particles with more room."""
+    old = particles.position.shape[0]
+    more = capacity - old
+
+    def extend(array: Array) -> Array:
+        return jnp.concatenate([array, jnp.zeros(more, array.dtype)])
+
+    return Particles(
+        position=jnp.concatenate([particles.position, parked(more, old)]),
+        species=extend(particles.species),
+        alive=extend(particles.alive),
+        held=extend(particles.held),
+    )
+
+
+def get_particles(
+    particles: Particles,
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
+    """Position (in r0) and species of the living."""
+    alive = get(particles.alive)
+    return get(particles.position)[alive], get(particles.species)[alive]
+
+
+def put_membrane(surface: Surface) -> Membrane:
+    """A membrane at rest on the device."""
+    capacity = _vertex_capacity(surface)
+    vertices = jnp.asarray(_padded(surface.vertices, capacity))
+    return _at_rest(vertices, surface)
+
+
+def get_surface(membrane: Membrane) -> Surface:
+    """The live part of the membrane."""
+    alive = get(membrane.vertex_alive)
+    return Surface(
+        vertices=get(membrane.vertices)[alive],
+        faces=get(membrane.faces)[get(membrane.face_alive)].astype(np.int64),
+        fixed=get(membrane.pinned)[alive],
+        source=int(membrane.source),
+    )
+
+
+def put_remeshed(
+    membrane: Membrane, surface: Surface, remeshing: Remeshing
+) -> Membrane:
+    """The membrane after a remeshing, at rest: its springs have their current length.
+
+    Args:
+        membrane: as it was before.
+        surface: its faces, rim and source afterwards.
+        remeshing: the linear maps that give the new vertices from the old.
+    """
+    most = max([len(p) for p in remeshing.parents], default=0)
+    old = membrane.vertices.shape[0]
+    capacity = max(_vertex_capacity(surface, most), old)
+    vertices = membrane.vertices
+    if capacity > old:
+        more = jnp.zeros((capacity - old, 3), vertices.dtype)
+        vertices = jnp.concatenate([vertices, more])
+    for parents in remeshing.parents:
+        vertices = _average(vertices, jnp.asarray(_padded(parents, capacity)))
+    return _at_rest(vertices, surface)
+
+
+_average = jax.jit(average_parents)
+_edge_length = eqx.filter_jit(edge_length)
+
+
+def _vertex_capacity(surface: Surface, most: int = 0) -> int:
+    """Room for the vertices, for half as many faces and a third as many edges."""
+    faces = len(surface.faces)
+    edges = (3 * faces + int(surface.fixed.sum())) // 2
+    needed = max(len(surface.vertices), faces // 2 + 1, edges // 3 + 1, most)
+    return capacity_for(needed, 256)
+
+
+def reset_springs(membrane: Membrane) -> Membrane:
+    """All springs at rest: "assigned a new equilibrium length" (paper §4)."""
+    return eqx.tree_at(lambda m: m.rest_length, membrane, _edge_length(membrane))
+
+
+def _at_rest(vertices: Float[Array, "m 3"], surface: Surface) -> Membrane:
+    capacity = vertices.shape[0]
+    topology = build_topology(surface.faces, len(surface.vertices))
+    edges = topology.edges
+    faces = len(surface.faces)
+    membrane = Membrane(
+        vertices=vertices,
+        faces=jnp.asarray(_padded(surface.faces, 2 * capacity)),
+        edges=jnp.asarray(_padded(edges, 3 * capacity)),
+        rest_length=jnp.zeros(3 * capacity, vertices.dtype),
+        vertex_alive=jnp.asarray(np.arange(capacity) < len(surface.vertices)),
+        face_alive=jnp.asarray(np.arange(2 * capacity) < faces),
+        edge_alive=jnp.asarray(np.arange(3 * capacity) < len(edges)),
+        pinned=jnp.asarray(_padded(surface.fixed, capacity)),
+        source=jnp.asarray(surface.source),
+    )
+    return reset_springs(membrane)

@@ -1,0 +1,54 @@
+"""What every test runs under: 64 bits, strict promotion, compiled programs on disk."""
+
+import os
+from importlib.metadata import version
+from pathlib import Path
+
+
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA:CPU cache loader noise
+
+import jax
+import pytest
+from hypothesis import settings
+
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_rank_promotion", "raise")
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+# Not through jaxgrow.cli: nothing of the package may be imported before the plugin of
+# jaxtyping has put its type checker into the import system.
+_cache = os.environ.get("JAXGROW_XLA_CACHE") or str(
+    Path.home() / f".cache/jaxgrow/xla-tests/jaxlib-{version('jaxlib')}"
+)
+if _cache != "off":
+    jax.config.update("jax_compilation_cache_dir", _cache)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+settings.register_profile("default", derandomize=True, deadline=None, max_examples=20)
+settings.register_profile("thorough", deadline=None, max_examples=500)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
+
+
+@pytest.fixture
+def key():
+    return jax.random.key(0)
+
+
+@pytest.fixture(scope="session")
+def tiny_polyp():
+    """A polyp of three divisions in the built-in uterus."""
+    from jaxgrow.grow import grow
+    from jaxgrow.scene import Polyp, Scene
+
+    return grow(Scene(lesion=Polyp(divisions=3)))
+
+
+@pytest.fixture(scope="session")
+def tiny_cluster():
+    """A cluster of five particles that grew freely."""
+    from jaxgrow.grow import grow
+    from jaxgrow.scene import Myoma, Scene
+
+    return grow(Scene(organ=None, lesion=Myoma(divisions=4)))

@@ -1,0 +1,107 @@
+"""A small scene of particles under a membrane, for all energy terms."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxgrow.energy.contact import contact_energy, list_contacts, reach
+from jaxgrow.energy.pair import pair_energy
+from jaxgrow.energy.springs import spring_energy
+from jaxgrow.parameters import Parameters
+from jaxgrow.state import Membrane, Nodes, Particles
+
+
+PARAMETERS = Parameters(tumour_stiffness=2.0)
+CONTACTS = 512  # capacity of the lists of contacts
+SIDE = 5  # vertices along a side of the membrane
+COUNT = 24  # particles
+
+
+def dense_list(count):
+    """Everybody is everybody's neighbour, neighbour-major."""
+    index = np.arange(count)
+    return jnp.asarray((index[None, :] + index[1:, None]) % count)
+
+
+def grid(side, spacing=1.0):
+    """Vertices, faces and edges of a flat square grid; normals up."""
+    y, x = np.mgrid[:side, :side]
+    vertices = spacing * np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3).astype(float)
+    index = np.arange(side * side).reshape(side, side)
+    a, b = index[:-1, :-1].ravel(), index[:-1, 1:].ravel()
+    c, d = index[1:, 1:].ravel(), index[1:, :-1].ravel()
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)), axis=0)
+    return vertices, faces, edges
+
+
+@dataclasses.dataclass(frozen=True)
+class Scene:
+    particles: Particles
+    membrane: Membrane
+
+
+@pytest.fixture(scope="session")
+def scene():
+    """24 random particles below a bumpy grid of 25 vertices; nothing is padding."""
+    rng = np.random.default_rng(1)
+    vertices, faces, edges = grid(SIDE)
+    vertices += 0.2 * rng.normal(size=vertices.shape)
+    position = rng.uniform([0, 0, -1.5], [SIDE - 1, SIDE - 1, -0.1], (COUNT, 3))
+    length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    particles = Particles(
+        jnp.asarray(position),
+        jnp.asarray(rng.integers(0, 2, COUNT)),
+        jnp.ones(COUNT, bool),
+        jnp.zeros(COUNT, bool),
+    )
+    membrane = Membrane(
+        jnp.asarray(vertices),
+        jnp.asarray(faces),
+        jnp.asarray(edges),
+        jnp.asarray(length * rng.uniform(0.7, 1.3, len(edges))),
+        jnp.ones(len(vertices), bool),
+        jnp.ones(len(faces), bool),
+        jnp.ones(len(edges), bool),
+        jnp.zeros(len(vertices), bool),
+        jnp.asarray(-1),
+    )
+    return Scene(particles, membrane)
+
+
+def _pair(particles, membrane, parameters):
+    return pair_energy(particles, dense_list(particles.position.shape[0]), parameters)
+
+
+def _springs(particles, membrane, parameters):
+    return spring_energy(membrane, parameters)
+
+
+def _contact(particles, membrane, parameters):
+    contacts = list_contacts(particles, membrane, reach(parameters), CONTACTS)
+    contacts = jax.lax.stop_gradient(contacts)
+    energy = contact_energy(particles, membrane, contacts, parameters)
+    return jnp.where(contacts.overflow, jnp.nan, energy)
+
+
+@pytest.fixture(scope="session", params=[_pair, _springs, _contact], ids=lambda f: f.__name__[1:])
+def term(request):
+    """Energy and its gradient in all nodes, as one compiled function of a scene."""
+
+    @eqx.filter_jit
+    def evaluate(scene_particles, scene_membrane):
+        def energy(nodes):
+            particles = eqx.tree_at(
+                lambda p: p.position, scene_particles, nodes.particles
+            )
+            membrane = eqx.tree_at(lambda m: m.vertices, scene_membrane, nodes.vertices)
+            return request.param(particles, membrane, PARAMETERS)
+
+        nodes = Nodes(scene_particles.position, scene_membrane.vertices)
+        return jax.value_and_grad(energy)(nodes)
+
+    return evaluate

@@ -1,0 +1,345 @@
+"""Relaxation: closed forms, every result, and what may not move."""
+
+import inspect
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.sparse import lil_array
+from scipy.sparse.linalg import spsolve
+
+from jaxgrow.energy.pair import pair_force
+from jaxgrow.equilibrium.problem import Lists, Problem
+from jaxgrow.equilibrium.relax import allocate_lists, relax, stale
+from jaxgrow.parameters import Parameters
+from jaxgrow.results import Result
+from jaxgrow.state import Membrane
+
+
+def everybody(count):
+    index = np.arange(count)
+    return jnp.asarray((index[None, :] + index[1:, None]) % count)
+
+
+def dense_residual(particles, parameters=None):
+    """Largest force on a free particle, by the sum over all pairs."""
+    count = particles.position.shape[0]
+    force = pair_force(particles, everybody(count), parameters or Parameters())
+    return np.linalg.norm(np.asarray(force)[np.asarray(particles.free)], axis=1).max()
+
+
+def chain_of(vertices, edges, rest, pinned):
+    """A membrane of springs alone, in the arrays that the others have."""
+
+    def pad(array, capacity):
+        array = np.asarray(array)
+        rows = [(0, capacity - len(array))] + [(0, 0)] * (array.ndim - 1)
+        return jnp.asarray(np.pad(array, rows))
+
+    return Membrane(
+        pad(vertices, 256),
+        jnp.zeros((512, 3), int),
+        pad(edges, 768),
+        pad(rest, 768),
+        jnp.arange(256) < len(vertices),
+        jnp.zeros(512, bool),
+        jnp.arange(768) < len(edges),
+        pad(pinned, 256),
+        jnp.asarray(-1),
+    )
+
+
+# particles alone
+
+
+def test_dimer_rests_at_r0(make_particles):
+    start = make_particles([[0, 0, 0], [0.3, 0.5, 0.1]])
+    outcome = relax(start, tolerance=1e-9)
+    assert outcome.result is Result.CONVERGED
+    gap = outcome.state[0].position[1] - outcome.state[0].position[0]
+    # F' = -1/2 at rest: a force of 1e-9 is a distance of 2e-9
+    np.testing.assert_allclose(np.linalg.norm(gap), 1, atol=1e-8)
+
+
+@pytest.mark.parametrize("method", ["lbfgs", "fire", "auto"])
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-9])
+def test_particles_alone_come_to_rest(cluster, method, tolerance):
+    outcome = relax(cluster, tolerance=tolerance, method=method)
+    assert outcome.result is Result.CONVERGED
+    assert outcome.state[1] is None
+    assert outcome.stats.residual <= tolerance
+    assert dense_residual(outcome.state[0]) <= tolerance * (1 + 1e-6)
+
+
+def test_method_that_ended_it_is_named(cluster):
+    assert relax(cluster, method="auto").stats.method == "lbfgs"
+    assert relax(cluster, method="fire").stats.method == "fire"
+
+
+def test_lbfgs_takes_fewer_steps_than_fire(cluster):
+    steps = [
+        relax(cluster, tolerance=1e-6, method=m).stats.steps for m in ("lbfgs", "fire")
+    ]
+    assert 1.2 * steps[0] < steps[1]
+
+
+def test_held_and_dead_particles_do_not_move_by_a_bit(cluster):
+    outcome = relax(cluster)
+    still = ~np.asarray(cluster.free)
+    after = outcome.state[0]
+    np.testing.assert_array_equal(after.position[still], cluster.position[still])
+    assert np.abs(after.position - cluster.position)[~still].max() > 0.1
+    np.testing.assert_array_equal(after.alive, cluster.alive)
+    np.testing.assert_array_equal(after.species, cluster.species)
+
+
+def test_same_start_gives_the_same_bits(cluster):
+    first, second = relax(cluster), relax(cluster)
+    np.testing.assert_array_equal(first.state[0].position, second.state[0].position)
+
+
+def test_order_of_the_particles_is_irrelevant_at_the_end(make_particles):
+    rng = np.random.default_rng(5)
+    position = rng.uniform(0, 2.5, (20, 3))
+    order = rng.permutation(20)
+    first = relax(make_particles(position), tolerance=1e-9).state[0].position[:20]
+    second = relax(make_particles(position[order]), tolerance=1e-9).state[0].position
+    np.testing.assert_allclose(second[:20], first[order], atol=1e-6)
+
+
+# a membrane alone
+
+
+@pytest.mark.parametrize("pretension", [0.0, 0.1])
+def test_loaded_chain_stretches_by_force_over_stiffness(load, pretension):
+    count, stiffness, pull = 6, 0.5, 0.2
+    vertices = np.zeros((count, 3))
+    vertices[:, 0] = np.arange(count) + 0.05 * np.sin(np.arange(count))
+    edges = np.stack([np.arange(count - 1), np.arange(1, count)], axis=1)
+    rest = np.linspace(0.8, 1.2, count - 1)
+    chain = chain_of(vertices, edges, rest, np.arange(count) == 0)
+    outcome = relax(
+        None,
+        chain,
+        parameters=Parameters(
+            spring_stiffness=jnp.asarray(stiffness), pretension=jnp.asarray(pretension)
+        ),
+        tolerance=1e-9,
+        load=load(count - 1, [pull, 0, 0]),
+    )
+    assert outcome.result is Result.CONVERGED
+    lengths = (1 - pretension) * rest + pull / stiffness
+    found = np.asarray(outcome.state[1].vertices)[:count]
+    wanted = np.zeros((count, 3))
+    wanted[1:, 0] = np.cumsum(lengths)
+    np.testing.assert_allclose(found, wanted, atol=1e-7)
+
+
+def test_hub_on_spokes_sags_to_the_closed_form(load):
+    spokes, stiffness, depth = 8, 0.3, 0.75
+    angle = 2 * np.pi * np.arange(spokes) / spokes
+    rim = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    vertices = np.concatenate([[[0.0, 0.0, 0.01]], rim])
+    edges = np.stack([np.zeros(spokes, int), np.arange(1, spokes + 1)], axis=1)
+    hub = chain_of(vertices, edges, np.ones(spokes), np.arange(spokes + 1) > 0)
+    length = np.hypot(1, depth)
+    force = spokes * stiffness * (length - 0.9) * depth / length
+    parameters = Parameters(
+        spring_stiffness=jnp.asarray(stiffness), pretension=jnp.asarray(0.1)
+    )
+    outcome = relax(
+        None, hub, parameters=parameters, tolerance=1e-9, load=load(0, [0, 0, force])
+    )
+    assert outcome.result is Result.CONVERGED
+    np.testing.assert_allclose(
+        outcome.state[1].vertices[0], [0, 0, depth], atol=1e-7
+    )
+
+
+def test_membrane_under_a_small_load_solves_the_discrete_laplace_equation(
+    make_membrane, load
+):
+    membrane = make_membrane()
+    force = 1e-4
+    outcome = relax(
+        None, membrane, tolerance=1e-10, load=load(24, [0, 0, force])
+    )
+    assert outcome.result is Result.CONVERGED
+    parameters = Parameters()
+    matrix = lil_array((49, 49))
+    for (i, j), alive in zip(
+        np.asarray(membrane.edges), np.asarray(membrane.edge_alive), strict=True
+    ):
+        if alive:
+            for a, b in ((i, j), (j, i)):
+                matrix[a, a] += 1
+                matrix[a, b] -= 1
+    free = np.flatnonzero(np.asarray(membrane.free))
+    # every edge just reset pulls with k τ per length
+    pull = np.where(free == 24, force, 0.0)
+    inner = matrix.tocsr()[free][:, free]
+    wanted = spsolve(
+        inner * parameters.spring_stiffness * parameters.pretension, pull
+    )
+    found = np.asarray(outcome.state[1].vertices)[free, 2]
+    assert found.max() > 1e-4
+    np.testing.assert_allclose(found, wanted, rtol=1e-3, atol=1e-9)
+
+
+def test_membrane_just_reset_rests_flat_without_load(make_membrane):
+    membrane = make_membrane()
+    outcome = relax(None, membrane, tolerance=1e-9)
+    assert outcome.result is Result.CONVERGED
+    assert not np.any(np.asarray(outcome.state[1].vertices)[:, 2])
+
+
+@pytest.mark.parametrize("method", ["lbfgs", "fire"])
+def test_membrane_alone_comes_to_rest_with_its_rim_in_place(
+    make_membrane, load, method
+):
+    membrane = make_membrane()
+    outcome = relax(
+        None, membrane, tolerance=1e-8, method=method, load=load(24, [0, 0, 0.05])
+    )
+    assert outcome.result is Result.CONVERGED
+    still = ~np.asarray(membrane.free)
+    np.testing.assert_array_equal(
+        outcome.state[1].vertices[still], membrane.vertices[still]
+    )
+    assert outcome.state[1].vertices[24, 2] > 0.05
+
+
+# both together
+
+
+@pytest.fixture(scope="module", params=["lbfgs", "fire"])
+def settled(bed, request):
+    return relax(*bed, tolerance=1e-9, method=request.param)
+
+
+def test_particles_and_membrane_come_to_rest_together(settled, bed):
+    assert settled.result is Result.CONVERGED
+    assert settled.stats.residual <= 1e-9
+    problem = Problem(*settled.state, Parameters())
+    force = problem.forces(problem.nodes(), allocate_lists(problem))
+    largest = max(np.abs(f).max() for f in jax.tree.leaves(force))
+    assert largest <= 1e-9
+
+
+def test_what_is_held_pinned_or_dead_stays_to_the_bit(settled, bed):
+    for before, after, name in zip(
+        bed, settled.state, ("position", "vertices"), strict=True
+    ):
+        still = ~np.asarray(before.free)
+        first, last = getattr(before, name), getattr(after, name)
+        np.testing.assert_array_equal(last[still], first[still])
+        assert np.abs(last - first)[~still].max() > 0.01
+
+
+def test_coarse_tolerance_is_kept_and_takes_fewer_steps(bed, settled):
+    coarse = relax(*bed, tolerance=1e-3)
+    assert coarse.result is Result.CONVERGED
+    assert coarse.stats.residual <= 1e-3
+    assert coarse.stats.steps < settled.stats.steps
+
+
+def test_lists_of_an_earlier_call_may_be_passed_on(bed):
+    first = relax(*bed, tolerance=1e-3)
+    again = relax(*first.state, tolerance=1e-9, lists=stale(first.lists))
+    fresh = relax(*first.state, tolerance=1e-9)
+    assert again.result is Result.CONVERGED
+    np.testing.assert_allclose(
+        again.state[0].position, fresh.state[0].position, atol=1e-12
+    )
+
+
+def test_lists_of_another_shape_are_not_used(bed, cluster):
+    lists = relax(*bed).lists
+    outcome = relax(cluster, lists=lists)
+    assert outcome.result is Result.CONVERGED
+    assert outcome.lists.contacts is None
+
+
+# results other than success
+
+
+def test_step_limit_is_a_result_with_the_last_state(cluster):
+    outcome = relax(cluster, tolerance=1e-9, method="lbfgs", max_steps=4)
+    assert outcome.result is Result.STEP_LIMIT
+    assert outcome.stats.steps == 4
+    assert outcome.stats.residual > 1e-9
+    assert dense_residual(outcome.state[0]) == pytest.approx(outcome.stats.residual)
+
+
+def test_auto_goes_on_with_fire_where_lbfgs_stops(cluster):
+    outcome = relax(cluster, tolerance=1e-9, max_steps=4)
+    assert outcome.stats.method == "fire"
+    assert outcome.stats.steps == 8
+
+
+@pytest.mark.parametrize("method", ["lbfgs", "fire"])
+def test_position_that_is_not_finite_is_a_result(cluster, method):
+    # jax-md's lists raise no flag for it
+    position = cluster.position.at[7].set(jnp.nan)
+    broken = eqx.tree_at(lambda p: p.position, cluster, position)
+    outcome = relax(broken, method=method)
+    assert outcome.result is Result.NON_FINITE
+    assert not outcome.result.success
+
+
+def test_force_that_overflows_is_a_result(make_membrane, load):
+    outcome = relax(
+        None, make_membrane(), load=load(24, [0, 0, np.inf]), method="lbfgs"
+    )
+    assert outcome.result is Result.NON_FINITE
+    assert np.isfinite(outcome.state[1].vertices).all()
+
+
+def test_neighbour_list_that_overflows_is_made_anew(make_particles):
+    # listed while far apart, then moved together: room for few neighbours only
+    rng = np.random.default_rng(9)
+    apart = make_particles(3.0 * np.stack(np.unravel_index(np.arange(60), (4, 4, 4)), 1))
+    together = make_particles(rng.uniform(0, 3.5, (60, 3)))
+    small = Lists(allocate_lists(Problem(apart, None, Parameters())).neighbors, None)
+    outcome = relax(together, tolerance=1e-9, lists=small)
+    wanted = relax(together, tolerance=1e-9)
+    assert outcome.result is Result.CONVERGED
+    assert outcome.lists.neighbors.max_occupancy > small.neighbors.max_occupancy
+    np.testing.assert_allclose(
+        outcome.state[0].position, wanted.state[0].position, atol=1e-9
+    )
+
+
+def test_list_that_overflows_on_the_way_is_rolled_back(make_particles):
+    # a sheet that a strong pull folds up: the list fits the start, not the end
+    rng = np.random.default_rng(10)
+    line = make_particles(
+        np.stack([1.2 * np.arange(60), *0.3 * rng.normal(size=(2, 60))], axis=1)
+    )
+    strong = Parameters(adhesion=jnp.asarray(0.4))
+    start = allocate_lists(Problem(line, None, strong))
+    ended = relax(line, tolerance=1e-4, parameters=strong, lists=start)
+    assert ended.result is Result.CONVERGED
+    assert dense_residual(ended.state[0], strong) <= 1.01e-4
+
+
+@pytest.mark.parametrize(
+    "call, match",
+    [
+        ({}, "nothing to relax"),
+        ({"tolerance": 0.0}, "tolerance is 0.0; it must be a positive"),
+        ({"tolerance": float("nan")}, "tolerance is nan"),
+    ],
+)
+def test_wrong_call_is_refused(cluster, call, match):
+    particles = cluster if call else None
+    with pytest.raises(ValueError, match=match):
+        relax(particles, **call)
+
+
+def test_unknown_method_is_refused(cluster):
+    # __wrapped__: the type checker of the tests would refuse it first
+    with pytest.raises(ValueError, match="method is 'newton'; it must be one of"):
+        inspect.unwrap(relax)(cluster, method="newton")

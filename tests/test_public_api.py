@@ -1,0 +1,118 @@
+"""The names that are promised, and what importing them costs."""
+
+import importlib
+import subprocess
+import sys
+import types
+
+import pytest
+
+import jaxgrow as jg
+
+
+PROMISED = [
+    "A2",
+    "Growth",
+    "Myoma",
+    "Organ",
+    "OrganError",
+    "Parameters",
+    "Polyp",
+    "Result",
+    "Scene",
+    "SceneError",
+    "Surroundings",
+    "audit",
+    "audit_run",
+    "grow",
+    "load_organ",
+    "load_scene",
+    "make_scene",
+    "read_run",
+    "relax",
+    "render_growth",
+    "render_surface",
+    "shape_metrics",
+    "uterus",
+    "write_run",
+]
+
+
+def _python(code):
+    """The standard output of a fresh interpreter."""
+    command = [sys.executable, "-c", code]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+@pytest.mark.parametrize("name", sorted({*PROMISED, *jg.__all__}))
+def test_public_name_is_what_its_module_defines(name):
+    value = getattr(jg, name)
+    assert name in jg.__all__
+    assert value.__name__ == name
+    assert value.__module__.startswith("jaxgrow.")
+
+
+def test_dir_lists_all_public_names():
+    assert set(dir(jg)) == {*jg.__all__, "__version__"}
+
+
+def test_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="has no attribute 'grwo'"):
+        _ = jg.grwo
+
+
+@pytest.mark.parametrize("name", ["grow", "audit"])
+def test_function_is_not_hidden_by_the_module_of_its_name(name):
+    module = importlib.import_module(f"jaxgrow.{name}")
+    assert isinstance(module, types.ModuleType)
+    assert getattr(jg, name) is getattr(module, name)
+
+
+def test_function_is_not_hidden_when_its_module_is_imported_first():
+    code = "import jaxgrow.grow, jaxgrow; print(type(jaxgrow.grow).__name__)"
+    assert _python(code).strip() == "function"
+
+
+def test_importing_the_package_imports_nothing_heavy():
+    code = (
+        "import sys, jaxgrow; "
+        "print(*{m.split('.')[0] for m in sys.modules} & "
+        "{'jax', 'jax_md', 'numpy', 'scipy', 'trimesh', 'typer', 'equinox'})"
+    )
+    assert _python(code).strip() == ""
+
+
+def test_importing_the_package_takes_a_tenth_of_a_second_at_most():
+    code = (
+        "import time; start = time.process_time(); import jaxgrow; "
+        "print(time.process_time() - start)"
+    )
+    assert min(float(_python(code)) for _ in range(3)) < 0.1
+
+
+def test_host_modules_work_without_jax():
+    code = (
+        "import sys; sys.modules['jax'] = None; "
+        "import jaxgrow.mesh.fairing, jaxgrow.mesh.audit, jaxgrow.organ, "
+        "jaxgrow.render, jaxgrow.export, jaxgrow.run_folder"
+    )
+    _python(code)
+
+
+def test_importing_all_but_neighbors_does_not_import_jax_md():
+    code = (
+        "import sys, jaxgrow as jg; [getattr(jg, name) for name in jg.__all__]; "
+        "print('jax_md' in sys.modules)"
+    )
+    assert _python(code).strip() == "False"
+
+
+def test_help_takes_a_second_at_most_and_no_jax():
+    # Processor time: what is measured on a busy machine is then our own.
+    code = (
+        "import sys, time; from jaxgrow.cli import main; main(['grow', '--help']); "
+        "print('jax' in sys.modules, time.process_time())"
+    )
+    loaded, seconds = _python(code).splitlines()[-1].split()
+    assert loaded == "False"
+    assert float(seconds) < 1.0
