@@ -265,20 +265,16 @@ def combine(path: Path | None, wanted: dict[str, Any]) -> "Scene":
         path: the scene file, or None.
         wanted: entries as a scene file has them; None where there is no option.
     """
-    from jaxgrow.scene import load_scene, make_scene, Myoma, Polyp
+    from jaxgrow.scene import make_scene, Myoma, Polyp, read_entries
 
-    base = None if path is None else load_scene(path)
+    entries = {} if path is None else read_entries(path)
     chosen = {name: value for name, value in wanted.items() if value is not None}
     lesion = {k: value for k, value in wanted["lesion"].items() if value is not None}
-    entries: dict[str, Any] = {}
-    before: dict[str, Any] = {}
-    if base is not None:
-        entries = {name: getattr(base, name) for name in base.model_fields_set}
-        before = base.lesion.model_dump(exclude_unset=True)
-        before["kind"] = base.lesion.kind
+    before = entries.get("lesion", {})
     kind = lesion.get("kind", before.get("kind", "polyp"))
-    known = (Myoma if kind == "myoma" else Polyp).model_fields
-    before = {name: value for name, value in before.items() if name in known}
+    if kind != before.get("kind", "polyp"):
+        known = (Myoma if kind == "myoma" else Polyp).model_fields
+        before = {name: value for name, value in before.items() if name in known}
     if "size_mm" in lesion:
         before.pop("divisions", None)
     entries |= chosen

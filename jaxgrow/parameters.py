@@ -43,7 +43,7 @@ class Parameters(eqx.Module):
         smoothing: width, in r0, over which the two jumps of the A2 force are smoothed;
             0 is the printed law.
         tumour_stiffness: factor s of the pair energy between two tumour particles;
-            tissue has 1, a mixed pair (1 + s) / 2. A stiff myoma core has s > 1.
+            all other pairs have 1. A stiff myoma core has s > 1.
         spring_stiffness: k of every membrane edge, in F(0)/r0.
         pretension: share τ by which a spring's rest length falls short of its length
             when it is reset; 0 is the paper's reset (see `jaxgrow.energy.springs`).

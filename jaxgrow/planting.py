@@ -132,7 +132,7 @@ def _extent(scene: Scene) -> tuple[float, float]:
     """Radius of the patch and thickness of the tissue, in r0.
 
     A polyp rises out of a patch that is little wider than its base. A myoma pushes
-    tissue aside: its radius and three particles more on every side.
+    tissue aside: its radius and two particles more on every side.
     """
     lesion, around = scene.lesion, scene.surroundings
     target = lesion.target_mm
@@ -141,8 +141,8 @@ def _extent(scene: Scene) -> tuple[float, float]:
     else:
         across = target / scene.r0_mm
     if isinstance(lesion, Myoma):
-        radius = across / 2 + 3.0
-        thickness = depth_of(lesion, scene.r0_mm) + across / 2 + 2.0
+        radius = across / 2 + 2.5
+        thickness = depth_of(lesion, scene.r0_mm) + across / 2 + 1.5
     else:
         radius, thickness = max(6.5, 0.5 * across), 3.0
     return around.radius or radius, around.thickness or thickness

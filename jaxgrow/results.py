@@ -23,15 +23,14 @@ class Result(enum.Enum):
         "A position or force became infinite or NaN; use softer springs, or start "
         "from a state without overlaps.",
     )
-    OVERFLOW = (4, "A neighbour or contact list was too small and could not grow.")
+    OVERFLOW = (
+        4,
+        "A neighbour or contact list became too small; the relaxation goes on from the "
+        "last valid state with a larger one.",
+    )
     DIVISION_LIMIT = (
         5,
         "The allowed number of divisions was used up before the lesion had its size.",
-    )
-    EVAPORATED = (
-        6,
-        "Particles flew apart, out of reach of each other; use a smaller step or "
-        "less adhesion.",
     )
 
     def __init__(self, code: int, sentence: str) -> None:

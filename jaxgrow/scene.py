@@ -9,7 +9,7 @@ import difflib
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
 import pydantic
 
@@ -56,6 +56,9 @@ class Lesion(_Model):
             raise ValueError("give size_mm or divisions, not both")
         return self
 
+    mechanics: ClassVar[dict[str, float]] = {}
+    """Parameters of this kind of lesion, where they are not the general defaults."""
+
     @property
     def particles_across(self) -> float:
         """Particle diameters in the largest diameter of the lesion, by default."""
@@ -95,13 +98,15 @@ class Myoma(Lesion):
             default, so that it protrudes into the lumen.
     """
 
+    mechanics: ClassVar[dict[str, float]] = {"tumour_stiffness": 3.0}
+
     kind: Literal["myoma"] = "myoma"
     depth_mm: Positive | None = None
 
     @property
     def particles_across(self) -> float:
         """Particle diameters in the largest diameter of the lesion, by default."""
-        return 8.0
+        return 7.0
 
 
 class Surroundings(_Model):
@@ -133,7 +138,7 @@ class Scene(_Model):
         tissue: on which side of the organ's surface its tissue lies: "outside" of a
             hollow organ's inner surface, "inside" of a solid one.
         lesion: a `Polyp` or a `Myoma`.
-        parameters: of the mechanics.
+        parameters: of the mechanics; where none is given, those of the lesion's kind.
         surroundings: of the lesion.
     """
 
@@ -143,6 +148,17 @@ class Scene(_Model):
     lesion: Annotated[Polyp | Myoma, pydantic.Field(discriminator="kind")] = Polyp()
     parameters: Parameters = pydantic.Field(default_factory=Parameters)
     surroundings: Surroundings = Surroundings()
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _mechanics_of_the_lesion(cls, entries: Any) -> Any:
+        given = entries.get("parameters", {})
+        if not isinstance(given, dict):
+            return entries
+        lesion = entries.get("lesion")
+        kind = lesion.get("kind") if isinstance(lesion, dict) else lesion
+        own = Myoma if kind == "myoma" or isinstance(kind, Myoma) else Polyp
+        return {**entries, "parameters": {**own.mechanics, **given}}
 
     @pydantic.field_validator("parameters", mode="before")
     @classmethod
@@ -176,6 +192,15 @@ def load_scene(path: str | Path) -> Scene:
         SceneError: the file cannot be read, is no TOML, or has a wrong entry; the
             message names each with what is wanted.
     """
+    return make_scene(read_entries(path), source=str(path))
+
+
+def read_entries(path: str | Path) -> dict[str, Any]:
+    """The entries of a scene file as they stand there, unchecked.
+
+    Raises:
+        SceneError: the file cannot be read, or is no TOML.
+    """
     path = Path(path)
     try:
         text = path.read_text(encoding="utf-8")
@@ -190,7 +215,7 @@ def load_scene(path: str | Path) -> Scene:
     organ = entries.get("organ")
     if isinstance(organ, str) and organ != "uterus":
         entries["organ"] = str(path.parent / organ)
-    return make_scene(entries, source=str(path))
+    return entries
 
 
 def make_scene(entries: dict[str, Any], *, source: str) -> Scene:

@@ -126,7 +126,7 @@ def test_file_that_is_no_toml_is_refused(write):
 @pytest.mark.parametrize(
     "text, sentence",
     [
-        ("organ_ = 1", r"organ_ is unknown; did you mean organ\?"),
+        ("organ_ = 1", r"organ_ is unknown; did you mean organ"),
         ("banana = 1", "banana is unknown; known are organ, unit_mm, "),
         (
             "[lesion]\nkind = 'polyp'\nsize = 3",
@@ -155,7 +155,7 @@ def test_file_that_is_no_toml_is_refused(write):
         ("lesion = 3", "lesion"),
         ("tissue = 'above'", "tissue is 'above': .*'outside' or 'inside'"),
         ("unit_mm = 0", "unit_mm is 0: input should be greater than 0"),
-        ("[surroundings]\nradus = 3.0", r"radus is unknown; .* radius\?"),
+        ("[surroundings]\nradus = 3.0", r"radus is unknown; .* radius"),
         (
             "[parameters]\nadhesoin = 0.1",
             "'adhesoin' is unknown; did you mean adhesion",

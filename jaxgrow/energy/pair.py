@@ -3,9 +3,11 @@ r"""Energy of the interaction between particles (paper §3 and eq. 2).
 .. math::
     E = \sum_{i<j} s_{ij}\, U_{\alpha}(|x_i - x_j|)
 
-over all pairs of particles alive, with :math:`U` of `A2` and, between two tumour
-particles, the stiffness :math:`s` of `Parameters` (1 between tissue particles,
-:math:`(1 + s)/2` for a mixed pair). Lengths in r0.
+over all pairs of particles alive, with :math:`U` of `A2` and the stiffness :math:`s` of
+`Parameters` between two tumour particles (1 for all other pairs). Lengths in r0. With
+s > 1 the tumour coheres more than it adheres to the tissue, so the interface has a
+tension (differential adhesion) and a myoma stays a ball; with the mean
+:math:`(1 + s)/2` for mixed pairs there is none, and it scatters through the tissue.
 
 The derivative in the positions is written by hand: differentiating the sum over a
 neighbour list turns its gathers into scatters, which is 14 to 20 times slower on a CPU.
@@ -37,9 +39,9 @@ def _pairs(
     square = sum(c**2 for c in components)
     apart = square != 0
     length = jnp.where(apart, jnp.sqrt(jnp.where(apart, square, 1)), 0)
-    tumour = (particles.species == Species.TUMOUR).astype(length.dtype)
-    share = (tumour[None, :] + tumour[other]) / 2
-    stiffness = 1 + (parameters.tumour_stiffness - 1) * share
+    tumour = particles.species == Species.TUMOUR
+    both = tumour[None, :] & tumour[other]
+    stiffness = jnp.where(both, parameters.tumour_stiffness, 1.0)
     real = (listed < count) & particles.alive[None, :] & particles.alive[other]
     return components, length, jnp.where(real, stiffness, 0)
 

@@ -8,6 +8,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxgrow.types import Scalar
+
 
 class FIREMemory(eqx.Module):
     """Velocity, time step, mixing factor, and the steps since uphill motion."""
@@ -25,11 +27,11 @@ class FIRE(eqx.Module):
         first: first time step.
         largest: largest time step. Above 2 / √λ, with λ the largest eigenvalue of the
             Hessian, the integration is unstable; λ is about 18 for A2 at its default
-            adhesion.
+            adhesion, and s times that for pairs of stiffness s.
     """
 
     first: float = 0.15
-    largest: float = 0.4
+    largest: Scalar = 0.4
 
     def init(self, force: Float[Array, "d 3"]) -> FIREMemory:
         """At rest."""
@@ -49,7 +51,9 @@ class FIRE(eqx.Module):
         patient = ~uphill & (memory.downhill > 5)
         step = jnp.where(
             patient,
-            jnp.minimum(memory.step * 1.1, self.largest),
+            jnp.minimum(
+                memory.step * 1.1, jnp.asarray(self.largest, memory.step.dtype)
+            ),
             jnp.where(uphill, memory.step * 0.5, memory.step),
         )
         step = jnp.maximum(step, 1e-3)

@@ -161,14 +161,19 @@ def relax(
         raise ValueError("nothing to relax: give particles, a membrane, or both.")
     if not tolerance > 0:
         raise ValueError(f"tolerance is {tolerance}; it must be a positive force.")
+    parameters = parameters or Parameters()
+    # the stiffest pairs bound the stable time step: 2 / √λ, and λ grows with s
+    stiffest = jnp.maximum(1.0, jnp.asarray(parameters.tumour_stiffness))
+    lbfgs = ("lbfgs", LBFGS())
+    fire = ("fire", FIRE(largest=0.4 / jnp.sqrt(stiffest)))
     methods: dict[str, list[tuple[str, Minimiser]]] = {
-        "lbfgs": [("lbfgs", LBFGS())],
-        "fire": [("fire", FIRE())],
-        "auto": [("lbfgs", LBFGS()), ("fire", FIRE())],
+        "lbfgs": [lbfgs],
+        "fire": [fire],
+        "auto": [lbfgs, fire],
     }
     if method not in methods:
         raise ValueError(f"method is {method!r}; it must be one of {list(methods)}.")
-    problem = Problem(particles, membrane, parameters or Parameters(), load)
+    problem = Problem(particles, membrane, parameters, load)
     if lists is None or not _fits(problem, lists):
         lists = allocate_lists(problem)
     stats = RelaxationStats(math.inf, 0, 0, method)

@@ -37,7 +37,7 @@ from jaxgrow.mesh.quality import (
     side_lengths,
     unit,
 )
-from jaxgrow.mesh.star import collapsing_stars, ends, Stars
+from jaxgrow.mesh.star import collapsing_stars, Ends, ends, Stars
 from jaxgrow.mesh.surface import average_parents, Remeshing, Surface
 from jaxgrow.mesh.topology import (
     build_topology,
@@ -104,7 +104,9 @@ def collapse(
         edges, topology, refused = _wanted(surface, guard, limits)
         if topology is None or not len(edges):
             break
-        surface, step = collapse_edges(surface, topology, edges)
+        surface, step = collapse_edges(
+            surface, topology, edges, ends(surface, topology, edges)
+        )
         done = done.then(step)
         collapsed += len(edges)
     done.counts.update(collapsed=collapsed, **refused)
@@ -112,7 +114,10 @@ def collapse(
 
 
 def collapse_edges(
-    surface: Surface, topology: Topology, edges: Int[np.ndarray, " k"]
+    surface: Surface,
+    topology: Topology,
+    edges: Int[np.ndarray, " k"],
+    merging: Ends,
 ) -> tuple[Surface, Remeshing]:
     """Collapse edges that share no triangle, unconditionally.
 
@@ -120,11 +125,12 @@ def collapse_edges(
         surface: The surface.
         topology: Its topology.
         edges: The edges to collapse.
+        merging: What becomes of their ends.
 
     Returns:
         The surface without the two triangles of each edge, and the map to it.
     """
-    stays, goes, middle = ends(surface, topology, edges)
+    stays, goes, middle = merging.stays, merging.goes, merging.middle
     n_vertices = len(surface.vertices)
     parents = np.repeat(np.arange(n_vertices)[:, None], 2, axis=1)
     parents[stays[middle], 1] = goes[middle]
@@ -170,8 +176,8 @@ def _wanted(
     keep(topology.interior[edges] & ~kept[topology.edges[edges]].all(axis=1), "rim")
     around = np.concatenate([topology.edges, topology.opposite], axis=1)
     keep(np.all(topology.valence[around[edges]] > 3, axis=1), "valence")
-    keep(_common_neighbours(topology, edges) == 2, "link")
-    stars = collapsing_stars(surface, topology, edges)
+    keep(common_neighbours(topology, edges) == 2, "link")
+    stars = collapsing_stars(surface, ends(surface, topology, edges))
     good = _keeps_shape(stars, topology, triangles, limits)
     keep(good, "shape")
     stars = stars.select(good)
@@ -183,7 +189,7 @@ def _wanted(
     return edges[chosen], topology, refused
 
 
-def _common_neighbours(
+def common_neighbours(
     topology: Topology, edges: Int[np.ndarray, " k"]
 ) -> Int[np.ndarray, " k"]:
     """Number of vertices joined by an edge to both ends of each edge."""

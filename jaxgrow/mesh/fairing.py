@@ -1,4 +1,4 @@
-"""Surface fairing (paper section 4): subdivide, swap, collapse."""
+"""Surface fairing (paper section 4): subdivide, swap, collapse; and repair."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from jaxgrow.mesh.collapse import collapse
 from jaxgrow.mesh.quality import areas
+from jaxgrow.mesh.repair import repair
 from jaxgrow.mesh.subdivide import subdivide, subdivide_all
 from jaxgrow.mesh.surface import Remeshing, Surface
 from jaxgrow.mesh.swap import swap
@@ -33,12 +34,13 @@ def fair(
     min_area: float = 0.1,
     clearance: float = 0.15,
 ) -> tuple[Surface, Remeshing]:
-    """Fair the surface: the paper's phases in the paper's order, and swaps once more.
+    """Fair the surface: the paper's phases in the paper's order, repair, and swaps.
 
     Subdivision of the triangles that are too large (until none is), edge swaps, and
-    collapse of those that are too small. Where something was collapsed the edges are
-    swapped again, as a collapse leaves vertices of high valence behind; the paper
-    does so in its next iteration.
+    collapse of those that are too small; then pleats and slivers that are left are
+    repaired. Where something was collapsed or repaired the edges are swapped again, as
+    that leaves vertices of high valence behind; the paper does so in its next
+    iteration.
 
     Lengths are in r0, areas in r0². The lower bound must leave room under the upper
     one: a T-shape cuts a triangle just over ``max_area`` into halves.
@@ -48,7 +50,7 @@ def fair(
         particles: Live particles, all on one side of it, where they stay.
         max_area: Triangles above it are subdivided.
         min_area: Triangles below it are collapsed, if that can be done safely.
-        clearance: No swap or collapse may bring particle and surface nearer than this,
+        clearance: No operation may bring particle and surface nearer than this,
             nor any nearer where they are nearer already.
 
     Returns:
@@ -76,8 +78,15 @@ def fair(
         max_edge=LONG_EDGE * side,
         clearance=clearance,
     )
-    done = subdivided.then(swapped).then(collapsed)
-    if collapsed.counts["collapsed"]:
+    surface, repaired = repair(
+        surface,
+        particles,
+        max_area=max_area,
+        max_edge=LONG_EDGE * side,
+        clearance=clearance,
+    )
+    done = subdivided.then(swapped).then(collapsed).then(repaired)
+    if collapsed.counts["collapsed"] or repaired.counts["repaired"]:
         surface, again = swap(surface, particles, clearance=clearance)
         refused = {n: c for n, c in again.counts.items() if n != "swapped"}
         done = done.then(again)

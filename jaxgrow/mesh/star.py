@@ -59,37 +59,49 @@ class Stars:
         )
 
 
-def ends(
-    surface: Surface, topology: Topology, edges: Int[np.ndarray, " k"]
-) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"], Bool[np.ndarray, " k"]]:
+@dataclass(frozen=True, eq=False)
+class Ends:
     """What becomes of the ends of collapsing edges.
 
-    Returns:
-        The end that keeps its index, the end that goes, and whether the first moves to
-        the middle (it does not if it is fixed, on the rim, or the source).
+    Attributes:
+        stays: The end that keeps its index.
+        goes: The end that goes.
+        middle: Whether the first moves to the middle.
+    """
+
+    stays: Int[np.ndarray, " k"]
+    goes: Int[np.ndarray, " k"]
+    middle: Bool[np.ndarray, " k"]
+
+    def select(self, chosen: Int[np.ndarray, " s"]) -> Ends:
+        """What becomes of the chosen ones, in that order."""
+        return Ends(self.stays[chosen], self.goes[chosen], self.middle[chosen])
+
+
+def ends(surface: Surface, topology: Topology, edges: Int[np.ndarray, " k"]) -> Ends:
+    """Ends that meet in the middle, or at the end that is kept.
+
+    Kept are the vertices that are fixed, on the rim, or the source.
     """
     first, second = topology.edges[edges].T
     kept = surface.kept | topology.rim_vertices
     stays = np.where(kept[second], second, first)
     goes = np.where(kept[second], first, second)
-    return stays, goes, ~kept[stays]
+    return Ends(stays, goes, ~kept[stays])
 
 
-def collapsing_stars(
-    surface: Surface, topology: Topology, edges: Int[np.ndarray, " k"]
-) -> Stars:
+def collapsing_stars(surface: Surface, merging: Ends) -> Stars:
     """Gather the stars of edges.
 
     Args:
         surface: The surface.
-        topology: Its topology.
-        edges: Edges of which not both ends are kept.
+        merging: What becomes of the ends of each edge.
 
     Returns:
         Their stars.
     """
     vertices, faces = surface.vertices, surface.faces
-    stays, goes, middle = ends(surface, topology, edges)
+    stays, goes, middle = merging.stays, merging.goes, merging.middle
     apex = np.where(
         middle[:, None], (vertices[stays] + vertices[goes]) / 2, vertices[stays]
     )

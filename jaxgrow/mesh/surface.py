@@ -71,7 +71,7 @@ class Surface:
         return kept
 
 
-def average_parents(vertices: Positions, parents: Int[np.ndarray, "k 2"]) -> Positions:
+def average_parents(vertices: Positions, parents: Indexable) -> Positions:
     """Positions after one map: ``new[i] = (old[p[i, 0]] + old[p[i, 1]]) / 2``.
 
     A vertex that is its own two parents keeps its coordinates exactly, since
@@ -79,7 +79,8 @@ def average_parents(vertices: Positions, parents: Int[np.ndarray, "k 2"]) -> Pos
 
     Args:
         vertices: Any array with indexing and arithmetic (numpy, jax), (m, 3).
-        parents: For each new vertex the two old ones that it is the middle of.
+        parents: For each new vertex the two old ones that it is the middle of,
+            (k, 2) integers.
 
     Returns:
         An array of the same kind, (k, 3).
