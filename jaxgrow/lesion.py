@@ -23,6 +23,10 @@ RAISED = 0.5
 COVERING = 1.0
 """Surface closer than this (r0) to a tumour particle belongs to the lesion."""
 
+BELONGING = 2.5
+"""Raised surface that comes this close (r0) to the tumour was raised by it: tissue may
+lie between a myoma and the surface."""
+
 
 def height_above(
     points: Float[np.ndarray, "n 3"],
@@ -39,8 +43,8 @@ def height_above(
 def raised(state: State) -> Bool[np.ndarray, " m"]:
     """Living membrane vertices that the tumour raised half an r0 over the former ones.
 
-    Surface of that height counts where it is connected with a vertex close to the
-    tumour: tissue elsewhere may push its surface up as well.
+    Surface of that height counts where it is connected with a vertex near the tumour:
+    tissue elsewhere may push its surface up as well.
     """
     assert state.membrane is not None
     assert state.frame.former is not None
@@ -53,25 +57,28 @@ def raised(state: State) -> Bool[np.ndarray, " m"]:
         (np.ones(len(first)), (first, second)), shape=(len(high), len(high))
     )
     _, component = connected_components(graph, directed=False)
-    mine = np.isin(component, component[high & _covering(state, surface.vertices)])
+    near = _to_tumour(state, surface.vertices) < BELONGING
+    mine = np.isin(component, component[high & near])
     return high & mine
 
 
-def _covering(state: State, points: Float[np.ndarray, "m 3"]) -> Bool[np.ndarray, " m"]:
-    """Points within one r0 of a tumour particle."""
+def _to_tumour(
+    state: State, points: Float[np.ndarray, "m 3"]
+) -> Float[np.ndarray, "m"]:
+    """Distance of each point to the nearest tumour particle; infinite without any."""
     position, species = get_particles(state.particles)
     tumour = position[species == Species.TUMOUR]
     if len(tumour) == 0:
-        return np.zeros(len(points), dtype=bool)
+        return np.full(len(points), np.inf)
     distance, _ = KDTree(tumour).query(points)
-    return distance < COVERING
+    return np.asarray(distance)
 
 
 def lesion_vertices(state: State) -> Bool[np.ndarray, " m"]:
     """Living membrane vertices of the lesion: raised by it, or close to its tumour."""
     assert state.membrane is not None
     points = get(state.membrane.vertices)[get(state.membrane.vertex_alive)]
-    return raised(state) | _covering(state, points)
+    return raised(state) | (_to_tumour(state, points) < COVERING)
 
 
 def diameter(points: Float[np.ndarray, "n 3"]) -> float:

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from jaxgrow import neighbors as nb
 from jaxgrow.energy.a2 import CUTOFF
@@ -26,7 +26,7 @@ def pairs_of(neighbors, position, radius=CUTOFF):
 
 
 def pairs_by_tree(position, radius=CUTOFF):
-    pairs = cKDTree(position).query_pairs(radius, output_type="ndarray").tolist()
+    pairs = KDTree(position).query_pairs(radius, output_type="ndarray").tolist()
     return sorted((i, j) for a, b in pairs for i, j in ((a, b), (b, a)))
 
 
@@ -75,7 +75,7 @@ def test_parked_slots_have_no_neighbours():
 
 def test_parked_slots_are_apart_in_any_number():
     position = np.asarray(parked(5000))
-    assert cKDTree(position).query(position, k=2)[0][:, 1].min() >= 4
+    assert KDTree(position).query(position, k=2)[0][:, 1].min() >= 4
     more = np.asarray(parked(40, 30))
     np.testing.assert_array_equal(more, position[30:70])
 
@@ -101,9 +101,7 @@ def test_update_keeps_the_list_while_nobody_moved_by_half_the_skin():
     one = np.arange(COUNT)[:, None] == 3
     kept = update(neighbors, jnp.asarray(position + one * step))
     np.testing.assert_array_equal(nb.listed(kept), nb.listed(neighbors))
-    np.testing.assert_array_equal(
-        kept.reference_position, neighbors.reference_position
-    )
+    np.testing.assert_array_equal(kept.reference_position, neighbors.reference_position)
     moved = position + one * 1.1 * step
     rebuilt = update(neighbors, jnp.asarray(moved))
     shift = np.asarray(rebuilt.reference_position - neighbors.reference_position)

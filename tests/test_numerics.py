@@ -20,6 +20,12 @@ def test_norm_of_the_null_vector_has_gradient_zero_and_not_nan():
     assert np.isfinite(jax.hessian(safe_norm)(null)).all()
 
 
+def test_norm_of_what_is_not_finite_is_not_finite():
+    # a length of 0 would pass for an equilibrium
+    broken = jnp.asarray([[jnp.nan, 0.0, 0.0], [0.0, jnp.inf, 0.0]])
+    assert not np.any(np.isfinite(safe_norm(broken)))
+
+
 def test_division_is_zero_with_finite_derivatives_where_it_is_excluded():
     def ratio(x):
         return jnp.sum(safe_divide(jnp.ones(2), x, x > 0))

@@ -31,7 +31,9 @@ from jaxgrow.parameters import Parameters, UnstableAdhesionWarning
     ],
 )
 def test_value_out_of_range_is_refused_by_name(name, value):
-    with pytest.raises(ValueError, match=f"parameter {name} is .*must be a number from"):
+    with pytest.raises(
+        ValueError, match=f"parameter {name} is .*must be a number from"
+    ):
         Parameters(**{name: value})
 
 

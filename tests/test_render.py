@@ -269,7 +269,7 @@ def test_only_a_missing_embreex_falls_back(tmp_path, monkeypatch) -> None:
     def fail(**_: Any) -> None:
         raise RuntimeError("broken installation")
 
-    broken.EmbreeScene = fail  # pyright: ignore[reportAttributeAccessIssue]
+    broken.EmbreeScene = fail
     monkeypatch.setitem(sys.modules, "embreex", types.ModuleType("embreex"))
     monkeypatch.setitem(sys.modules, "embreex.rtcore_scene", broken)
     monkeypatch.setitem(

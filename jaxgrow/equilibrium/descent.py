@@ -108,10 +108,8 @@ def descend(
         largest: longest displacement of a node in one step, in r0.
     """
 
-    def measure(nodes: Nodes, force: Nodes, lists: Lists) -> tuple[Array, Array]:
+    def measure(force: Nodes, lists: Lists) -> tuple[Array, Array]:
         residual = jnp.max(safe_norm(_rows(force)))
-        # a particle at NaN is in nobody's list, and feels no force
-        residual = jnp.where(jnp.all(jnp.isfinite(_rows(nodes))), residual, jnp.nan)
         code = jnp.where(
             lists.overflow,
             Result.OVERFLOW.code,
@@ -140,7 +138,7 @@ def descend(
         nodes = jax.tree.map(jnp.add, now.nodes, _like(step, now.nodes))
         lists = problem.update(nodes, now.lists)
         force = problem.forces(nodes, lists)
-        residual, code = measure(nodes, force, lists)
+        residual, code = measure(force, lists)
         memory = minimiser.learn(memory, step, before, _rows(force))
         failed = (code == Result.OVERFLOW.code) | (code == Result.NON_FINITE.code)
 
@@ -159,7 +157,7 @@ def descend(
 
     nodes = problem.nodes()
     force = problem.forces(nodes, lists)
-    residual, code = measure(nodes, force, lists)
+    residual, code = measure(force, lists)
     start = Descent(
         nodes,
         force,

@@ -15,7 +15,9 @@ from jaxgrow.parameters import Parameters
 from jaxgrow.state import Membrane, Nodes, Particles
 
 
-PARAMETERS = Parameters(tumour_stiffness=2.0)
+PARAMETERS = Parameters(
+    tumour_stiffness=2.0, spring_stiffness=0.3, pretension=0.1, contact_adhesion=1.0
+)
 CONTACTS = 512  # capacity of the lists of contacts
 SIDE = 5  # vertices along a side of the membrane
 COUNT = 24  # particles
@@ -88,7 +90,10 @@ def _contact(particles, membrane, parameters):
     return jnp.where(contacts.overflow, jnp.nan, energy)
 
 
-@pytest.fixture(scope="session", params=[_pair, _springs, _contact], ids=lambda f: f.__name__[1:])
+TERMS = {"pair": _pair, "springs": _springs, "contact": _contact}
+
+
+@pytest.fixture(scope="session", params=list(TERMS))
 def term(request):
     """Energy and its gradient in all nodes, as one compiled function of a scene."""
 
@@ -99,7 +104,7 @@ def term(request):
                 lambda p: p.position, scene_particles, nodes.particles
             )
             membrane = eqx.tree_at(lambda m: m.vertices, scene_membrane, nodes.vertices)
-            return request.param(particles, membrane, PARAMETERS)
+            return TERMS[request.param](particles, membrane, PARAMETERS)
 
         nodes = Nodes(scene_particles.position, scene_membrane.vertices)
         return jax.value_and_grad(energy)(nodes)

@@ -25,7 +25,7 @@ from jaxgrow.state import Membrane, Particles
 
 
 FACES = 128  # capacity of all surfaces here, so that they share one program
-PARAMETERS = jax.tree.map(jnp.asarray, Parameters(contact_range=1.0))
+PARAMETERS = jax.tree.map(jnp.asarray, Parameters(contact_range=1.0, barrier_range=0.3))
 SHARPNESS = 20.0
 
 
@@ -52,7 +52,10 @@ def both(points, corners, sharpness=SHARPNESS):
     points = np.asarray(points, float)
     rest = np.zeros((64 - len(points) % 64, 3))  # few shapes
     smooth, exact = _both(
-        jnp.asarray(np.concatenate([points, rest])), corners, real, jnp.asarray(sharpness)
+        jnp.asarray(np.concatenate([points, rest])),
+        corners,
+        real,
+        jnp.asarray(sharpness),
     )
     return np.asarray(smooth)[: len(points)], np.asarray(exact)[: len(points)]
 
@@ -195,7 +198,12 @@ def test_smooth_distance_hardly_depends_on_the_triangles_of_a_flat_membrane():
     rng = np.random.default_rng(4)
     height = np.repeat([0.3, 0.7, 1.0, 1.3], 100)
     points = np.stack([*rng.uniform(-0.6, 0.6, (2, 400)), height], axis=1)
-    surfaces = [flat(0.8, 3.2), flat(0.8, 3.2, turn=True), flat(1.0, 4.0), flat(2.0, 4.0)]
+    surfaces = [
+        flat(0.8, 3.2),
+        flat(0.8, 3.2, turn=True),
+        flat(1.0, 4.0),
+        flat(2.0, 4.0),
+    ]
     share = np.stack([both(points, surface)[0] / height for surface in surfaces])
     assert share.max() <= 1 + 1e-14
     # never below the six equal triangles around a vertex by more than a few per cent
@@ -212,7 +220,9 @@ def crowd(scene):
         lambda p: p.alive, scene.particles, scene.particles.alive.at[5].set(False)
     )
     membrane = eqx.tree_at(
-        lambda m: m.face_alive, scene.membrane, scene.membrane.face_alive.at[9].set(False)
+        lambda m: m.face_alive,
+        scene.membrane,
+        scene.membrane.face_alive.at[9].set(False),
     )
     return particles, membrane
 
@@ -249,7 +259,7 @@ def test_list_holds_every_pair_within_the_radius_once(crowd, radius):
 
 def test_list_is_ordered_by_particle_through_its_padding(crowd):
     contacts = make_list(*crowd, jnp.asarray(1.0), 512)
-    assert np.all(np.diff(np.asarray(contacts.particle)) >= 0)
+    assert np.array_equal(np.sort(contacts.particle), contacts.particle)
 
 
 def test_count_of_contacts_is_no_less_than_the_pairs(crowd):
@@ -357,9 +367,7 @@ def one_particle(height):
 def test_particle_rests_at_the_contact_range():
     def energy(height):
         particles, membrane = one_particle(height)
-        contacts = jax.lax.stop_gradient(
-            list_contacts(particles, membrane, 3.0, 8)
-        )
+        contacts = jax.lax.stop_gradient(list_contacts(particles, membrane, 3.0, 8))
         return contact_energy(particles, membrane, contacts, Parameters())
 
     slope = jax.jit(jax.vmap(jax.grad(energy)))

@@ -21,7 +21,9 @@ def test_length_is_the_euclidean_one(scene):
 
 def test_padding_has_no_length(scene):
     dead = eqx.tree_at(
-        lambda m: m.edge_alive, scene.membrane, scene.membrane.edge_alive.at[3].set(False)
+        lambda m: m.edge_alive,
+        scene.membrane,
+        scene.membrane.edge_alive.at[3].set(False),
     )
     assert edge_length(dead)[3] == 0
 

@@ -1,4 +1,4 @@
-"""Scenes of few shapes, so that few programs are compiled: 64 particles, 256 vertices."""
+"""Scenes of few shapes, so that little is compiled: 64 particles, 256 vertices."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -129,7 +129,7 @@ def test_no_node_moves_by_half_of_its_distance_to_what_it_must_not_cross(
 
 
 def test_sign_test_sees_both_sides(make_membrane):
-    membrane = make_membrane(height=lambda x, y: 0.5 * np.cos(x) * (abs(x) < 2.9))
+    membrane = make_membrane(height=lambda x, _: 0.5 * np.cos(x) * (abs(x) < 2.9))
     live = np.asarray(membrane.vertex_alive)
     faces = np.asarray(membrane.faces)[np.asarray(membrane.face_alive)]
     points = np.array([[0.1, 0.1, 0.3], [0.1, 0.1, 0.6], [2, 1, -0.5], [2, 1, 0.5]])

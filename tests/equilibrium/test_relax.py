@@ -153,9 +153,7 @@ def test_hub_on_spokes_sags_to_the_closed_form(load):
         None, hub, parameters=parameters, tolerance=1e-9, load=load(0, [0, 0, force])
     )
     assert outcome.result is Result.CONVERGED
-    np.testing.assert_allclose(
-        outcome.state[1].vertices[0], [0, 0, depth], atol=1e-7
-    )
+    np.testing.assert_allclose(outcome.state[1].vertices[0], [0, 0, depth], atol=1e-7)
 
 
 def test_membrane_under_a_small_load_solves_the_discrete_laplace_equation(
@@ -163,9 +161,7 @@ def test_membrane_under_a_small_load_solves_the_discrete_laplace_equation(
 ):
     membrane = make_membrane()
     force = 1e-4
-    outcome = relax(
-        None, membrane, tolerance=1e-10, load=load(24, [0, 0, force])
-    )
+    outcome = relax(None, membrane, tolerance=1e-10, load=load(24, [0, 0, force]))
     assert outcome.result is Result.CONVERGED
     parameters = Parameters()
     matrix = lil_array((49, 49))
@@ -180,9 +176,7 @@ def test_membrane_under_a_small_load_solves_the_discrete_laplace_equation(
     # every edge just reset pulls with k τ per length
     pull = np.where(free == 24, force, 0.0)
     inner = matrix.tocsr()[free][:, free]
-    wanted = spsolve(
-        inner * parameters.spring_stiffness * parameters.pretension, pull
-    )
+    wanted = spsolve(inner * parameters.spring_stiffness * parameters.pretension, pull)
     found = np.asarray(outcome.state[1].vertices)[free, 2]
     assert found.max() > 1e-4
     np.testing.assert_allclose(found, wanted, rtol=1e-3, atol=1e-9)
@@ -223,7 +217,8 @@ def test_particles_and_membrane_come_to_rest_together(settled, bed):
     assert settled.result is Result.CONVERGED
     assert settled.stats.residual <= 1e-9
     problem = Problem(*settled.state, Parameters())
-    force = problem.forces(problem.nodes(), allocate_lists(problem))
+    forces = eqx.filter_jit(lambda p, lists: p.forces(p.nodes(), lists))
+    force = forces(problem, allocate_lists(problem))
     largest = max(np.abs(f).max() for f in jax.tree.leaves(force))
     assert largest <= 1e-9
 
@@ -289,6 +284,11 @@ def test_position_that_is_not_finite_is_a_result(cluster, method):
     assert not outcome.result.success
 
 
+def test_particle_at_nan_that_nobody_feels_is_a_result(make_particles):
+    lost = make_particles([[0, 0, 0], [np.nan, 0, 0]])
+    assert relax(lost).result is Result.NON_FINITE
+
+
 def test_force_that_overflows_is_a_result(make_membrane, load):
     outcome = relax(
         None, make_membrane(), load=load(24, [0, 0, np.inf]), method="lbfgs"
@@ -300,7 +300,9 @@ def test_force_that_overflows_is_a_result(make_membrane, load):
 def test_neighbour_list_that_overflows_is_made_anew(make_particles):
     # listed while far apart, then moved together: room for few neighbours only
     rng = np.random.default_rng(9)
-    apart = make_particles(3.0 * np.stack(np.unravel_index(np.arange(60), (4, 4, 4)), 1))
+    apart = make_particles(
+        3.0 * np.stack(np.unravel_index(np.arange(60), (4, 4, 4)), 1)
+    )
     together = make_particles(rng.uniform(0, 3.5, (60, 3)))
     small = Lists(allocate_lists(Problem(apart, None, Parameters())).neighbors, None)
     outcome = relax(together, tolerance=1e-9, lists=small)

@@ -1,0 +1,312 @@
+"""Growth: free clusters keep their density, and a polyp changes only its patch."""
+
+import inspect
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+
+from jaxgrow.audit import audit
+from jaxgrow.equilibrium.relax import stale
+from jaxgrow.grow import adapt_tissue_and_surface, divide_tumour, grow
+from jaxgrow.lesion import height_above
+from jaxgrow.mesh.audit import audit_surface
+from jaxgrow.parameters import Parameters, UnstableAdhesionWarning
+from jaxgrow.planting import plant
+from jaxgrow.results import Result
+from jaxgrow.scene import Myoma, Polyp, Scene, SceneError
+from jaxgrow.transfer import get, get_particles
+
+
+# free clusters
+
+CLUSTER = Scene(organ=None, lesion=Myoma(divisions=299))
+"""All sizes are grown in arrays of 300, and so with the same programs."""
+
+
+def arrays(adhesion):
+    """Parameters as arrays, which are traced: every adhesion uses one program."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UnstableAdhesionWarning)
+        return jax.tree.map(jnp.asarray, Parameters(adhesion=adhesion))
+
+
+def clusters(adhesion, tolerance, sizes, seed=0):
+    """Positions at each size of one growth by the steps of `grow`, all converged."""
+    parameters, rng = arrays(adhesion), np.random.default_rng(seed)
+    state = plant(CLUSTER, parameters, tolerance=tolerance, rng=rng).state
+    lists, found = None, {}
+    for size in range(2, max(sizes) + 1):
+        state, _ = divide_tumour(CLUSTER, state, parameters, rng)
+        state, relaxed = adapt_tissue_and_surface(state, parameters, tolerance, lists)
+        lists = stale(relaxed.lists)
+        assert relaxed.result is Result.CONVERGED
+        assert relaxed.stats.residual <= tolerance
+        if size in sizes:
+            found[size] = get_particles(state.particles)[0]
+    return found
+
+
+def gyration(position):
+    return np.sqrt(np.sum((position - position.mean(axis=0)) ** 2, axis=1).mean())
+
+
+def exponent(found):
+    """Slope of log R_g over log N."""
+    size = np.log(list(found))
+    radius = np.log([gyration(position) for position in found.values()])
+    return np.polyfit(size, radius, 1)[0]
+
+
+def nearest(position):
+    return KDTree(position).query(position, k=2)[0][:, 1]
+
+
+@pytest.fixture(scope="module")
+def stable():
+    return clusters(0.2, 1e-3, [25, 50, 100])
+
+
+def test_cluster_at_the_default_adhesion_grows_as_the_cube_root(stable):
+    assert 0.30 < exponent(stable) < 0.37
+    assert gyration(stable[100]) > 1.8
+
+
+def test_cluster_at_the_default_adhesion_keeps_its_particles_apart(stable):
+    assert nearest(stable[100]).min() > 0.75
+    assert np.median(nearest(stable[100])) > 0.9
+
+
+def test_cluster_at_the_default_adhesion_stays_together(stable):
+    assert nearest(stable[100]).max() < 1.5
+
+
+def test_cluster_at_the_printed_adhesion_collapses():
+    found = clusters(1.0, 1e-2, [25, 60])
+    # twice as many particles and more, in hardly more room
+    assert exponent(found) < 0.2
+    assert gyration(found[60]) < 1.1
+    assert nearest(found[60]).min() < 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+def test_cluster_of_300_grows_as_the_cube_root(seed):
+    found = clusters(0.2, 1e-3, [50, 100, 200, 300], seed)
+    assert 0.31 < exponent(found) < 0.36
+    assert nearest(found[300]).min() > 0.7
+
+
+@pytest.mark.slow
+def test_cluster_of_200_at_the_printed_adhesion_has_the_size_of_100():
+    found = clusters(1.0, 1e-2, [100, 200])
+    assert exponent(found) < 0.12
+    for position in found.values():
+        assert gyration(position) == pytest.approx(1.0, abs=0.15)
+        assert nearest(position).min() < 0.5
+        assert np.median(nearest(position)) < 0.5
+
+
+def free(divisions=29, seed=0, **more):
+    parameters = arrays(0.2)
+    return grow(
+        CLUSTER, seed=seed, parameters=parameters, max_divisions=divisions, **more
+    )
+
+
+@pytest.fixture(scope="module")
+def thirty():
+    return free()
+
+
+def test_steps_of_the_loop_are_those_of_grow(thirty):
+    wanted = clusters(0.2, 1e-3, [30])[30]
+    np.testing.assert_array_equal(get_particles(thirty.state.particles)[0], wanted)
+
+
+def test_same_seed_gives_the_same_bits(thirty):
+    again = free()
+    np.testing.assert_array_equal(
+        again.state.particles.position, thirty.state.particles.position
+    )
+    assert again.events == thirty.events
+
+
+def test_another_seed_gives_another_growth(thirty):
+    other = free(seed=1)
+    gap = other.state.particles.position - thirty.state.particles.position
+    assert np.abs(gap).max() > 0.1
+
+
+def test_every_division_has_a_record_with_a_residual_within_tolerance(thirty):
+    assert [r["division"] for r in thirty.history] == list(range(1, 30))
+    assert all(r["result"] == "CONVERGED" for r in thirty.history)
+    assert all(r["residual"] <= thirty.tolerance for r in thirty.history)
+    assert [r["particles"] for r in thirty.history] == list(range(2, 31))
+    assert len(thirty.events) == 29
+
+
+def test_division_limit_is_a_result(thirty):
+    assert thirty.result is Result.DIVISION_LIMIT
+    assert not thirty.result.success
+
+
+def test_divisions_asked_for_are_made(tiny_cluster):
+    assert tiny_cluster.result is Result.REACHED
+    assert len(tiny_cluster.history) == 4
+    assert get(tiny_cluster.state.particles.alive).sum() == 5
+
+
+def test_progress_is_told_after_every_division(tiny_cluster):
+    seen = []
+    again = grow(tiny_cluster.scene, progress=seen.append)
+    assert [p.divisions for p in seen] == [1, 2, 3, 4]
+    assert seen[-1].target_divisions == 4
+    assert seen[-1].target_mm is None
+    assert seen[-1].size_mm == again.size_mm
+    assert seen[-1].residual == again.history[-1]["residual"]
+
+
+def test_relaxation_that_fails_ends_the_growth(monkeypatch):
+    import sys
+
+    module = sys.modules["jaxgrow.grow"]
+    real = module.relax
+    monkeypatch.setattr(
+        module, "relax", lambda *a, **k: real(*a, **k, max_steps=1, method="lbfgs")
+    )
+    ended = free(tolerance=1e-12)
+    assert ended.result is Result.STEP_LIMIT
+    assert len(ended.history) < 5
+    assert [*ended.history][-1]["result"] == "STEP_LIMIT"
+
+
+@pytest.mark.parametrize("name", ["merged", "surface", "mesh"])
+def test_free_cluster_has_no_surface(tiny_cluster, name):
+    with pytest.raises(ValueError, match="grew without an organ"):
+        getattr(tiny_cluster, name)()
+
+
+# in an organ
+
+
+def test_everything_outside_of_the_patch_is_bit_identical(tiny_polyp):
+    organ, patch = tiny_polyp.organ, tiny_polyp.ground.patch
+    vertices, _, _ = tiny_polyp.surface()
+    outside = np.setdiff1d(np.arange(len(organ.vertices)), patch.organ_index)
+    kept = {tuple(row) for row in vertices}
+    assert len(outside) > 100
+    assert {tuple(row) for row in organ.vertices[outside]} <= kept
+
+
+def test_rim_is_bit_identical(tiny_polyp):
+    patch = tiny_polyp.ground.patch
+    vertices, _, _ = tiny_polyp.surface()
+    kept = {tuple(row) for row in vertices}
+    rim = tiny_polyp.organ.vertices[patch.organ_index[patch.rim]]
+    assert len(rim) > 10
+    assert {tuple(row) for row in rim} <= kept
+
+
+def test_rim_of_the_membrane_has_not_moved_by_a_bit(tiny_polyp):
+    membrane, patch = tiny_polyp.state.membrane, tiny_polyp.ground.patch
+    pinned = get(membrane.vertices)[get(membrane.pinned)]
+    start = {tuple(row) for row in patch.vertices[patch.rim]}
+    assert start <= {tuple(row) for row in pinned}
+
+
+def test_euler_number_is_kept(tiny_polyp):
+    organ = tiny_polyp.organ
+    vertices, faces, _ = tiny_polyp.surface()
+    before = audit_surface(organ.vertices, organ.faces)
+    after = audit_surface(vertices, faces)
+    assert after.euler_number == before.euler_number
+    assert after.components == 1
+
+
+def test_every_division_of_a_polyp_converges(tiny_polyp):
+    assert tiny_polyp.result is Result.REACHED
+    assert [r["result"] for r in tiny_polyp.history] == ["CONVERGED"] * 3
+    assert all(r["residual"] <= tiny_polyp.tolerance for r in tiny_polyp.history)
+    assert [r["tumour"] for r in tiny_polyp.history] == [1, 2, 3]
+
+
+def test_labels_are_near_the_lesion_only(tiny_polyp):
+    vertices, _, label = tiny_polyp.surface()
+    far = np.linalg.norm(vertices - tiny_polyp.site.point, axis=1)
+    reach = 3 * tiny_polyp.scene.r0_mm
+    assert 1 <= label.sum() < 60
+    assert far[label == 1].max() < reach
+    assert set(np.unique(label)) == {0, 1}
+
+
+def test_source_is_the_same_vertex_through_every_remeshing(tiny_polyp):
+    source = tiny_polyp.events[0].remeshing.source
+    for event in tiny_polyp.events[1:]:
+        assert event.remeshing.origin()[event.remeshing.source] == source
+        source = event.remeshing.source
+    membrane = tiny_polyp.state.membrane
+    assert int(membrane.source) == source
+    assert get(membrane.vertex_alive)[source]
+    assert not get(membrane.pinned)[source]
+
+
+@pytest.mark.slow
+def test_source_is_at_the_tip_of_a_polyp():
+    growth = grow(Scene(lesion=Polyp(divisions=40)))
+    assert growth.result is Result.REACHED
+    membrane = growth.state.membrane
+    alive = get(membrane.vertex_alive)
+    former = growth.state.frame.former
+    height = height_above(
+        get(membrane.vertices)[alive], get(former.vertices), get(former.faces)
+    )
+    highest = height.max()
+    assert highest > 1.5
+    assert height[int(membrane.source)] > highest - 1
+    assert audit(growth).clean
+
+
+def test_mesh_carries_the_labels(tiny_polyp):
+    mesh = tiny_polyp.mesh()
+    vertices, faces, label = tiny_polyp.surface()
+    np.testing.assert_array_equal(mesh.vertices, vertices)
+    np.testing.assert_array_equal(mesh.faces, faces)
+    np.testing.assert_array_equal(mesh.vertex_attributes["label"], label)
+
+
+def test_springs_are_at_rest_after_each_step(tiny_polyp):
+    membrane = tiny_polyp.state.membrane
+    alive = get(membrane.edge_alive)
+    start, end = get(membrane.vertices)[get(membrane.edges)[alive].T]
+    np.testing.assert_allclose(
+        get(membrane.rest_length)[alive],
+        np.linalg.norm(end - start, axis=1),
+        rtol=1e-14,
+    )
+
+
+def test_number_of_compilations_is_reported(tiny_polyp):
+    assert tiny_polyp.compilations >= 0
+    assert set(tiny_polyp.seconds) >= {"plant", "divide", "adapt", "fair"}
+
+
+# refusals
+
+
+def test_polyp_longer_than_the_lumen_is_refused():
+    with pytest.raises(SceneError, match=r"cannot fit at .*lumen is .* mm deep"):
+        grow(Scene(lesion=Polyp(size_mm=500.0)))
+
+
+def test_tolerance_that_is_not_positive_is_refused():
+    with pytest.raises(ValueError, match=r"tolerance is 0\.0; it must be a positive"):
+        grow(CLUSTER, tolerance=0.0)
+
+
+def test_growth_in_32_bits_is_refused():
+    with jax.enable_x64(False), pytest.raises(ValueError, match="growth needs 64"):
+        inspect.unwrap(grow)(CLUSTER)
