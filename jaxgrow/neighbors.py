@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxgrow.capacity import capacity_for
 from jaxgrow.energy.a2 import CUTOFF
 
 
@@ -26,7 +27,8 @@ SKIN = 0.4
 """Extra radius of a list, in r0: it holds until a particle has moved by half of it."""
 
 _HEADROOM = 1.25
-_ROUND = 8
+_LEAST_OCCUPANCY = 32
+_LEAST_IN_CELL = 16
 
 NeighborList = Any
 """A `jax_md.partition.NeighborList`: the type would import jax-md."""
@@ -88,10 +90,9 @@ def allocate(position: Float[Array, "n 3"], occupancy: int = 0) -> NeighborList:
     cells = 12 if count <= 4096 else 2 * math.ceil((count / 1.2) ** (1 / 3) / 3)
     with _permissive():
         neighbors = _functions(cells).allocate(position + _SHIFT)
-    wanted = max(neighbors.max_occupancy, occupancy, 1)
-    wanted = min(_ROUND * math.ceil(wanted / _ROUND), max(count - 1, 1))
+    wanted = capacity_for(max(neighbors.max_occupancy, occupancy), _LEAST_OCCUPANCY)
     extra = wanted - neighbors.max_occupancy
-    cell_capacity = _ROUND * math.ceil(neighbors.cell_list_capacity / _ROUND)
+    cell_capacity = capacity_for(neighbors.cell_list_capacity, _LEAST_IN_CELL)
     return dataclasses.replace(
         neighbors,
         idx=jnp.pad(neighbors.idx, ((0, 0), (0, extra)), constant_values=count),

@@ -161,9 +161,14 @@ def relax(
         raise ValueError("nothing to relax: give particles, a membrane, or both.")
     if not tolerance > 0:
         raise ValueError(f"tolerance is {tolerance}; it must be a positive force.")
-    parameters = parameters or Parameters()
+    nodes = Problem(particles, membrane, Parameters()).nodes()
+    dtype = jax.tree.leaves(nodes)[0].dtype
+    if parameters is None:
+        parameters = Parameters()
+    # as arrays: a Python float is a constant of the program, compiled for each value
+    given: Parameters = jax.tree.map(lambda v: jnp.asarray(v, dtype), parameters)
     # the stiffest pairs bound the stable time step: 2 / √λ, and λ grows with s
-    stiffest = jnp.maximum(1.0, jnp.asarray(parameters.tumour_stiffness))
+    stiffest = jnp.maximum(1.0, given.tumour_stiffness)
     lbfgs = ("lbfgs", LBFGS())
     fire = ("fire", FIRE(largest=0.4 / jnp.sqrt(stiffest)))
     methods: dict[str, list[tuple[str, Minimiser]]] = {
@@ -173,7 +178,7 @@ def relax(
     }
     if method not in methods:
         raise ValueError(f"method is {method!r}; it must be one of {list(methods)}.")
-    problem = Problem(particles, membrane, parameters, load)
+    problem = Problem(particles, membrane, given, load)
     if lists is None or not _fits(problem, lists):
         lists = allocate_lists(problem)
     stats = RelaxationStats(math.inf, 0, 0, method)
