@@ -35,7 +35,7 @@ class ShapeMetrics(eqx.Module):
         neck_width_mm: diameter of the circle with the area of the narrowest
             cross-section between half an r0 and the level of the widest one.
         volume_mm3: enclosed between the grown and the former surface of the patch.
-        area_mm2: of the raised surface.
+        area_mm2: of the raised surface above half an r0 along the axis.
         sphericity: :math:`\pi^{1/3} (6 V)^{2/3} / A` with the raised volume V and its
             surface A, the cross-section at its base included; 1 for a ball.
         intracavitary_fraction: share of the tumour particles above the former surface.
@@ -80,11 +80,12 @@ def _shape_metrics(state: State) -> ShapeMetrics:
     height = jnp.max(jnp.where(high, z, 0))
     corners = vertices[membrane.faces]
     vector = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
-    raised = membrane.face_alive & jnp.all(high[membrane.faces], axis=1)
-    area = jnp.sum(jnp.where(raised, safe_norm(vector), 0))
+    raised = membrane.face_alive & jnp.any(high[membrane.faces], axis=1)
     levels = _RAISED + (height - _RAISED) * jnp.arange(_LEVELS, dtype=z.dtype) / _LEVELS
     flux = jnp.where(raised, vector @ axis, 0)
     section = _sections(z[membrane.faces], flux, levels)
+    size = jnp.where(raised, safe_norm(vector), 0)
+    area = _sections(z[membrane.faces], size, levels[:1])[0]
     volume = _cone_volume(corners, membrane.face_alive) - _former_volume(former)
     raised_volume = jnp.sum(section) * (height - _RAISED) / _LEVELS
     surface = area + section[0]
@@ -135,7 +136,10 @@ def _former_volume(former: FormerSurface) -> Float[Array, ""]:
 def _sections(
     z: Float[Array, "f 3"], flux: Float[Array, " f"], levels: Float[Array, " h"]
 ) -> Float[Array, " h"]:
-    """Area of the cross-sections: the flux of the part of each triangle above."""
+    """Sum of a quantity of triangles over their parts above each level.
+
+    Of the flux of the axis it is the area of the cross-section there.
+    """
     low, middle, high = jnp.sort(z, axis=1).T
 
     def at(level: Float[Array, ""]) -> Float[Array, ""]:
