@@ -83,7 +83,7 @@ def test_absolute_organ_path_is_kept(write, tmp_path):
 
 def test_size_decides_the_particle_diameter():
     assert Polyp(size_mm=15.0).r0_mm == pytest.approx(1.5)
-    assert Myoma(size_mm=16.0).r0_mm == pytest.approx(2.0)
+    assert Myoma(size_mm=14.0).r0_mm == pytest.approx(2.0)
 
 
 def test_number_of_divisions_replaces_the_size():

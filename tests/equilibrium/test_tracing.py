@@ -32,9 +32,13 @@ def traced(cluster, bed):
     scenes = {"free": (cluster, None), "membrane": (None, bed[1]), "both": bed}
     for name, scene in scenes.items():
         problem = Problem(*scene, Parameters())
+        lists = allocate_lists(problem)
+        # JAX keeps what it traced of its own functions with the lines that called
+        # them first, whoever calls them later
+        jax.clear_caches()
         jaxpr = eqx.filter_make_jaxpr(descend)(
             problem,
-            allocate_lists(problem),
+            lists,
             LBFGS(),
             jnp.asarray(1e-3),
             jnp.asarray(10),
