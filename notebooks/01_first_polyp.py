@@ -29,7 +29,7 @@ from pathlib import Path
 
 import jax
 import matplotlib.pyplot as plt
-from IPython.display import Image
+from PIL import Image
 
 import jaxgrow as jg
 
@@ -54,7 +54,7 @@ for name, point in organ.sites.items():
 jg.render_surface(
     folder / "organ.png", organ.vertices, organ.faces, inside=True, size=450
 )
-Image(folder / "organ.png")
+Image.open(folder / "organ.png")
 
 # %% [markdown]
 # ## The scene
@@ -62,20 +62,21 @@ Image(folder / "organ.png")
 # A scene says what grows where: organ, lesion and mechanics. Only a patch of the
 # surface around the site, and the tissue under it, will be simulated. `particle_mm` is
 # the diameter of a particle and so the resolution; by default it is a tenth of the
-# lesion's size.
+# lesion's size. The parameters of the mechanics are printed; `help(jg.Parameters)`
+# explains them and gives their units.
 
 # %%
-polyp = jg.Polyp(size_mm=10, site="fundus", particle_mm=1.6)
+polyp = jg.Polyp(size_mm=8, site="fundus", particle_mm=1.6)
 scene = jg.Scene(organ=organ, lesion=polyp)
-scene.parameters
+vars(scene.parameters)
 
 # %% [markdown]
 # ## Growth
 #
 # Each step adds one tumour particle under the source vertex of the polyp, lets
 # particles and surface relax to their common equilibrium, and fairs the surface. The
-# seed decides all random choices. Most of the time goes by before the first line is
-# printed, while JAX compiles.
+# seed decides all random choices. The first line takes a while, as JAX compiles the
+# relaxation and the tissue is brought to rest.
 
 
 # %%
@@ -105,14 +106,15 @@ for name, value in shape.items():
 # ## The folder and its picture
 #
 # `jg.write_run` writes the whole organ with the lesion, the particles, a report, and
-# the picture below. Left is the surface as an endoscope meets it; right is a cut along
-# the axis of the polyp, with tumour and tissue particles under the surface.
+# the picture below, shown at half its size. Left is the surface as an endoscope meets
+# it; right is a cut along the axis of the polyp, with tumour and tissue particles under
+# the surface.
 
 # %%
 jg.write_run(growth, folder / "polyp", formats=("ply", "stl"))
 for file in sorted((folder / "polyp").iterdir()):
     print(f"{file.name:>14}: {file.stat().st_size / 1000:6.0f} kB")
-Image(folder / "polyp" / "growth.png", width=900)
+Image.open(folder / "polyp" / "growth.png").reduce(2)
 
 # %% [markdown]
 # ## The audit
@@ -147,10 +149,10 @@ plt.show()
 # ## Another law
 #
 # One parameter is changed, everything else stays: the springs of the surface become
-# twice as stiff.
+# four times as stiff.
 
 # %%
-stiff = jg.Parameters(spring_stiffness=2 * scene.parameters.spring_stiffness)
+stiff = jg.Parameters(spring_stiffness=4 * scene.parameters.spring_stiffness)
 stiff_growth = jg.grow(scene, seed=0, parameters=stiff)
 stiff_shape = vars(jg.shape_metrics(stiff_growth.state))
 print(f"{'':>22}  {'default':>8}  {'stiff':>8}")
