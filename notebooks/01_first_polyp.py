@@ -16,8 +16,9 @@
 #
 # This notebook grows a polyp into the wall of a uterus, looks at it, checks it, and
 # changes one of the laws that shape it. It needs the extra `notebook`
-# (`pip install 'jaxgrow[notebook]'`), no input and about a minute. The resolution is
-# coarse for that reason; with the default one a polyp of 10 mm takes some minutes.
+# (`pip install 'jaxgrow[notebook]'`), no input and about a minute. To that end the
+# polyp is small, the resolution coarse and the tolerance wide; leave `particle_mm` and
+# `tolerance` out for results to keep.
 #
 # Growth is a sequence of some hundred equilibria, each the start of the next, so
 # rounding errors must stay far below the force tolerance: JAX has to compute with
@@ -75,7 +76,8 @@ vars(scene.parameters)
 #
 # Each step adds one tumour particle under the source vertex of the polyp, lets
 # particles and surface relax to their common equilibrium, and fairs the surface. The
-# seed decides all random choices. The first line takes a while, as JAX compiles the
+# seed decides all random choices. `tolerance` is the largest force left in an
+# equilibrium, in units of the repulsion of two particles at one point. The first line takes a while, as JAX compiles the
 # relaxation and the tissue is brought to rest.
 
 
@@ -85,7 +87,7 @@ def report(progress):
         print(f"{progress.divisions:4} divisions: {progress.size_mm:4.1f} mm")
 
 
-growth = jg.grow(scene, seed=0, progress=report)
+growth = jg.grow(scene, seed=0, tolerance=1e-2, progress=report)
 print(growth.result)
 
 # %% [markdown]
@@ -132,8 +134,8 @@ print("clean" if audit.clean else audit.defects)
 # %% [markdown]
 # ## The history
 #
-# `growth.history` has one record a division. Size grows in small jumps, as vertices
-# rise above the threshold that makes them part of the lesion; the steps count the
+# `growth.history` has one record a division. Size is zero until the first vertices rise
+# high enough to count as lesion, and then goes up in small jumps; the steps count the
 # iterations that each relaxation took.
 
 # %%
@@ -149,11 +151,11 @@ plt.show()
 # ## Another law
 #
 # One parameter is changed, everything else stays: the springs of the surface become
-# four times as stiff.
+# four times as stiff. The polyp becomes as wide, but flatter.
 
 # %%
 stiff = jg.Parameters(spring_stiffness=4 * scene.parameters.spring_stiffness)
-stiff_growth = jg.grow(scene, seed=0, parameters=stiff)
+stiff_growth = jg.grow(scene, seed=0, tolerance=1e-2, parameters=stiff)
 stiff_shape = vars(jg.shape_metrics(stiff_growth.state))
 print(f"{'':>22}  {'default':>8}  {'stiff':>8}")
 print(f"{'divisions':>22}  {len(growth.events):8}  {len(stiff_growth.events):8}")
