@@ -13,7 +13,9 @@ What the paper leaves open, and our choice:
   one are done together; a few rounds.
 - *Refused* are: an edge on the rim, or between two rim or kept vertices; ends with
   other than two common neighbours (the link condition: the result would not be a
-  manifold); a change of shape; harm to a particle (see `jaxgrow.mesh.guard`).
+  manifold); a change of shape; harm to a particle (see `jaxgrow.mesh.guard`); a
+  surface that crosses itself or a wall (see `jaxgrow.mesh.crossing`). Of two collapses
+  of a round that would cross each other, the one of the shorter edge is done.
 - *What changes the shape*: a triangle that turns by more than ``max_angle`` (if it was
   a sliver, whose normal says nothing: away from the mean normal of the star); a radius
   ratio below `FAIR_SHAPE`, unless the star had one as bad; a triangle over
@@ -28,6 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxgrow.mesh.crossing import Crossing
 from jaxgrow.mesh.guard import Guard
 from jaxgrow.mesh.quality import (
     area_vectors,
@@ -73,7 +76,9 @@ def collapse(
     max_area: float = np.inf,
     min_edge: float = 0.0,
     max_edge: float = np.inf,
+    walls: Float[np.ndarray, "w 3 3"] | None = None,
     clearance: float = 0.15,
+    gap: float = 0.05,
     max_angle: float = np.pi / 4,
     max_rounds: int = 8,
 ) -> tuple[Surface, Remeshing]:
@@ -87,21 +92,25 @@ def collapse(
         min_edge: Edges below it are to vanish too (length).
         max_edge: No collapse may make an edge longer than this, unless the triangles
             around it had one as long (length).
+        walls: Static triangles that the surface must not cross, oriented as it is;
+            None for none.
         clearance: See `Guard` (length).
+        gap: See `Crossing` (length).
         max_angle: Largest turn of a triangle (radians).
         max_rounds: Bound on the rounds.
 
     Returns:
         The surface and the remeshing that leads to it, with counts: "collapsed", and of
         the last round's wanted edges those refused by reason, "collapse_refused_rim",
-        "…_valence", "…_link", "…_shape", "…_particle".
+        "…_valence", "…_link", "…_shape", "…_particle", "…_intersection".
     """
     limits = _Limits(min_area, max_area, min_edge, max_edge, max_angle)
     done = Remeshing.unchanged(surface)
     collapsed, refused = 0, {}
     for _ in range(max_rounds):
         guard = Guard(particles, surface.vertices, clearance)
-        edges, topology, refused = _wanted(surface, guard, limits)
+        crossing = Crossing.of(surface.vertices, surface.faces, walls, gap)
+        edges, topology, refused = _wanted(surface, (guard, crossing), limits)
         if topology is None or not len(edges):
             break
         surface, step = collapse_edges(
@@ -151,7 +160,7 @@ def collapse_edges(
 
 
 def _wanted(
-    surface: Surface, guard: Guard, limits: _Limits
+    surface: Surface, guards: tuple[Guard, Crossing], limits: _Limits
 ) -> tuple[Int[np.ndarray, " k"], Topology | None, dict[str, int]]:
     """Edges to collapse now, the topology they refer to, and refusals by reason."""
     triangles = surface.vertices[surface.faces]
@@ -181,12 +190,14 @@ def _wanted(
     good = _keeps_shape(stars, topology, triangles, limits)
     keep(good, "shape")
     stars = stars.select(good)
-    good = guard.admits(stars.patches())
-    keep(good, "particle")
-    stars = stars.select(good)
+    for guard, reason in zip(guards, ("particle", "intersection"), strict=True):
+        good = guard.admits(stars.patches())
+        keep(good, reason)
+        stars = stars.select(good)
     touched = surface.faces[stars.face].ravel()
     chosen = greedy_independent(np.repeat(stars.owner, 3), touched, len(edges))
-    return edges[chosen], topology, refused
+    together = guards[1].compatible(stars.select(chosen).patches())
+    return edges[chosen][together], topology, refused
 
 
 def common_neighbours(

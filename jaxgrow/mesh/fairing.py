@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TypedDict
+
 import numpy as np
 from jaxtyping import Float
 
@@ -21,6 +23,14 @@ SHORT_EDGE = 0.25
 """Edges shorter than this many such sides are collapsed (needles)."""
 
 
+class _Bounds(TypedDict):
+    """What no operation may cross or come too near to; see `fair`."""
+
+    walls: Float[np.ndarray, "w 3 3"] | None
+    clearance: float
+    gap: float
+
+
 def equilateral_side(area: float) -> float:
     """Side of the equilateral triangle of an area: sqrt(4 A / sqrt 3)."""
     return float(np.sqrt(4.0 * area / np.sqrt(3.0)))
@@ -32,7 +42,9 @@ def fair(
     *,
     max_area: float = 0.7,
     min_area: float = 0.1,
+    walls: Float[np.ndarray, "w 3 3"] | None = None,
     clearance: float = 0.15,
+    gap: float = 0.05,
 ) -> tuple[Surface, Remeshing]:
     """Fair the surface: the paper's phases in the paper's order, repair, and swaps.
 
@@ -50,8 +62,11 @@ def fair(
         particles: Live particles, all on one side of it, where they stay.
         max_area: Triangles above it are subdivided.
         min_area: Triangles below it are collapsed, if that can be done safely.
+        walls: Static triangles that the surface must not cross, the rest of the organ
+            near the patch, oriented as it is; None for none.
         clearance: No operation may bring particle and surface nearer than this,
             nor any nearer where they are nearer already.
+        gap: The same between triangles of the surface that face each other, or a wall.
 
     Returns:
         The new surface, and what was done as data: `Remeshing.apply` of the old
@@ -68,7 +83,8 @@ def fair(
         )
     side = equilateral_side(max_area)
     surface, subdivided = subdivide_all(surface, max_area, LONG_EDGE * side)
-    surface, swapped = swap(surface, particles, clearance=clearance)
+    bounds: _Bounds = {"walls": walls, "clearance": clearance, "gap": gap}
+    surface, swapped = swap(surface, particles, **bounds)
     surface, collapsed = collapse(
         surface,
         particles,
@@ -76,18 +92,18 @@ def fair(
         max_area=max_area,
         min_edge=SHORT_EDGE * side,
         max_edge=LONG_EDGE * side,
-        clearance=clearance,
+        **bounds,
     )
     surface, repaired = repair(
         surface,
         particles,
         max_area=max_area,
         max_edge=LONG_EDGE * side,
-        clearance=clearance,
+        **bounds,
     )
     done = subdivided.then(swapped).then(collapsed).then(repaired)
     if collapsed.counts["collapsed"] or repaired.counts["repaired"]:
-        surface, again = swap(surface, particles, clearance=clearance)
+        surface, again = swap(surface, particles, **bounds)
         refused = {n: c for n, c in again.counts.items() if n != "swapped"}
         done = done.then(again)
         done.counts.update(refused)

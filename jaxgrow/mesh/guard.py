@@ -11,8 +11,8 @@ Besides, no particle may lose clearance: its distance to the new triangles must 
 least the smaller of its distance to the old ones and the stated clearance.
 
 Vertices of the surface itself are obstacles as well (strictly inside a swept
-tetrahedron only), so that no sheet of a fold is swept over a vertex of another one. Two
-sheets may still cross edge through edge; the audit finds that.
+tetrahedron only), so that no sheet of a fold is swept over a vertex of another one.
+Whether sheets cross, edge through edge too, is `jaxgrow.mesh.crossing`'s question.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ class Patches:
     Attributes:
         old: Old triangles of all operations.
         old_owner: The operation of each, ascending, every operation at least one.
+        old_face: Which face of the surface each is.
         new: New triangles.
         new_owner: The operation of each, likewise.
         apex: The point over which the new triangles form a cone.
@@ -42,6 +43,7 @@ class Patches:
 
     old: Float[np.ndarray, "o 3 3"]
     old_owner: Int[np.ndarray, " o"]
+    old_face: Int[np.ndarray, " o"]
     new: Float[np.ndarray, "n 3 3"]
     new_owner: Int[np.ndarray, " n"]
     apex: Float[np.ndarray, "k 3"]

@@ -143,8 +143,12 @@ def _axis(
     if kind < 2:
         return _normal((a, b)[kind])
     if kind < 8:
-        triangle = (a, b)[kind % 2]
-        return np.cross(_normal(triangle), _side(triangle, kind // 2 - 1))
+        triangle, other = (a, b) if kind % 2 == 0 else (b, a)
+        normal = _normal(triangle)
+        # a segment has no normal: in the plane of the other triangle it needs that one
+        flat = np.count_nonzero(normal, axis=1) == 0
+        normal = np.where(flat[:, None], _normal(other), normal)
+        return np.cross(normal, _side(triangle, kind // 2 - 1))
     return np.cross(_side(a, (kind - 8) // 3), _side(b, (kind - 8) % 3))
 
 

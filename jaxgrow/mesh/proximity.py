@@ -118,3 +118,54 @@ def nearest_on_mesh(
         measure(rows[keep], tried[keep])
     closest = np.einsum("nk,nki->ni", weights, triangles[face])
     return best, face, closest
+
+
+def closest_on_segments(
+    first: Float[np.ndarray, "n 2 3"], second: Float[np.ndarray, "n 2 3"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Distance of segment i of one list to segment i of the other.
+
+    The common perpendicular, where both of its feet fall inside; otherwise the nearest
+    of the four distances of an end to the other segment.
+
+    Args:
+        first: Ends.
+        second: Ends, in the same unit of length.
+
+    Returns:
+        Distances, and where on each segment they are reached, from 0 to 1.
+    """
+    a, c = first[:, 0], second[:, 0]
+    one, other = first[:, 1] - a, second[:, 1] - c
+    gap = c - a
+
+    def dot(
+        p: Float[np.ndarray, "n 3"], q: Float[np.ndarray, "n 3"]
+    ) -> Float[np.ndarray, " n"]:
+        return np.einsum("ni,ni->n", p, q)
+
+    square, along, square_other = dot(one, one), dot(one, other), dot(other, other)
+    on_one, on_other = dot(one, gap), dot(other, gap)
+    determinant = square * square_other - along**2
+    skew = determinant > 64 * np.finfo(float).eps * square * square_other
+    scale = np.where(skew, determinant, 1.0)
+    safe_one = np.where(square > 0, square, 1.0)
+    safe_other = np.where(square_other > 0, square_other, 1.0)
+    s = (on_one * square_other - on_other * along) / scale
+    t = (on_one * along - on_other * square) / scale
+    inside = skew & (s > 0) & (s < 1) & (t > 0) & (t < 1)
+    zero, one_ = np.zeros(len(a)), np.ones(len(a))
+    tries = (
+        (zero, np.clip(-on_other / safe_other, 0.0, 1.0)),
+        (one_, np.clip((along - on_other) / safe_other, 0.0, 1.0)),
+        (np.clip(on_one / safe_one, 0.0, 1.0), zero),
+        (np.clip((on_one + along) / safe_one, 0.0, 1.0), one_),
+    )
+    best, shares = np.full(len(a), np.inf), (zero, zero)
+    for usable, (p, q) in ((inside, (s, t)), *((True, pair) for pair in tries)):
+        offset = gap + q[:, None] * other - p[:, None] * one
+        tried = np.where(usable, dot(offset, offset), np.inf)
+        nearer = tried < best
+        best = np.where(nearer, tried, best)
+        shares = np.where(nearer, p, shares[0]), np.where(nearer, q, shares[1])
+    return np.sqrt(best), shares[0], shares[1]

@@ -24,8 +24,8 @@ The paper leaves all of this open. Our choice:
 - *Refused* are also: rim edges; moving or removing the rim, fixed vertices or the
   source; a swept volume over that of a prism over the largest triangle, ``SWEEP`` of
   its side high; a triangle or an edge over the bounds of fairing, unless there was one
-  as large; more intersections with the triangles nearby than before; and what harms a
-  particle (see `jaxgrow.mesh.guard`), however bad the pleat.
+  as large; what harms a particle (see `jaxgrow.mesh.guard`), however bad the pleat; and
+  what makes the surface cross itself or a wall (see `jaxgrow.mesh.crossing`).
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxgrow.mesh.collapse import collapse_edges, common_neighbours
+from jaxgrow.mesh.crossing import Crossing
 from jaxgrow.mesh.guard import Guard, Patches
-from jaxgrow.mesh.intersection import intersecting_pairs
 from jaxgrow.mesh.quality import area_vectors, lengths, radius_ratio, side_lengths, unit
 from jaxgrow.mesh.star import collapsing_stars, Ends
 from jaxgrow.mesh.surface import Remeshing, Surface
@@ -67,7 +67,9 @@ def repair(
     *,
     max_area: float = np.inf,
     max_edge: float = np.inf,
+    walls: Float[np.ndarray, "w 3 3"] | None = None,
     clearance: float = 0.15,
+    gap: float = 0.05,
     max_repairs: int = 50,
 ) -> tuple[Surface, Remeshing]:
     """Remove pleats and slivers, one flip or collapse at a time.
@@ -78,7 +80,10 @@ def repair(
         max_area: No repair may make a triangle larger than this (length²), unless one
             of those it replaces was; it bounds the swept volume too.
         max_edge: Nor an edge longer than this (length), likewise.
+        walls: Static triangles that the surface must not cross, oriented as it is;
+            None for none.
         clearance: See `Guard` (length).
+        gap: See `Crossing` (length).
         max_repairs: Bound on the number; what is left then waits for the next call.
 
     Returns:
@@ -97,20 +102,17 @@ def repair(
         moves = _moves(surface, topology, edges)
         moves = moves.select(_improving(surface, moves, max_area, max_edge))
         guard = Guard(particles, surface.vertices, clearance)
-        safe = guard.admits(moves.patches())
-        refused = {"repair_refused_particle": int(np.count_nonzero(~safe))}
-        crossing = 0
-        for move in np.flatnonzero(safe).tolist():
-            if _crosses(surface, moves, move):
-                crossing += 1
-                continue
-            surface, step = _perform(surface, topology, moves, move)
-            done = done.then(step)
-            repaired += 1
+        safe = np.flatnonzero(guard.admits(moves.patches()))
+        refused = {"repair_refused_particle": len(moves.edge) - len(safe)}
+        moves = moves.select(safe)
+        crossing = Crossing.of(surface.vertices, surface.faces, walls, gap)
+        move = _first_clear(moves, crossing)
+        if move < 0:
+            refused["repair_refused_intersection"] = len(safe)
             break
-        else:
-            refused["repair_refused_intersection"] = crossing
-            break
+        surface, step = _perform(surface, topology, moves, move)
+        done = done.then(step)
+        repaired += 1
     done.counts.update(repaired=repaired, **refused)
     return surface, done
 
@@ -121,11 +123,13 @@ class _Pieces:
 
     Attributes:
         owner: The move of each triangle, ascending.
+        face: Which face of the surface it is, -1 for one that comes.
         corners: Its vertices.
         triangles: Their positions.
     """
 
     owner: Int[np.ndarray, " t"]
+    face: Int[np.ndarray, " t"]
     corners: Int[np.ndarray, "t 3"]
     triangles: Float[np.ndarray, "t 3 3"]
 
@@ -133,7 +137,7 @@ class _Pieces:
         """Those of the chosen ones of so many moves, in the order chosen."""
         rows = group(self.owner, np.arange(len(self.owner)), count)
         owner, row = rows.rows(chosen)
-        return _Pieces(owner, self.corners[row], self.triangles[row])
+        return _Pieces(owner, self.face[row], self.corners[row], self.triangles[row])
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +175,9 @@ class _Moves:
     def patches(self) -> Patches:
         """The surface before and after each move."""
         old, new = self.old, self.new
-        return Patches(old.triangles, old.owner, new.triangles, new.owner, self.apex)
+        return Patches(
+            old.triangles, old.owner, old.face, new.triangles, new.owner, self.apex
+        )
 
 
 def _defective(surface: Surface, topology: Topology) -> Int[np.ndarray, " k"]:
@@ -219,12 +225,14 @@ def _moves(
     owner = np.repeat(np.arange(len(a)), 2)
     vertices = surface.vertices
 
-    def both(one: tuple[Any, ...], other: tuple[Any, ...]) -> _Pieces:
+    def both(one: tuple[Any, ...], other: tuple[Any, ...], face: Any) -> _Pieces:
         """Two triangles for each flip."""
         faces = np.stack([*one, *other], axis=1).reshape(-1, 3)
-        return _Pieces(owner, faces, vertices[faces])
+        return _Pieces(owner, face, faces, vertices[faces])
 
-    old, new = both((a, b, c), (b, a, d)), both((a, d, c), (d, b, c))
+    sides = topology.edge_faces[edges[which[flip]]].ravel()
+    old = both((a, b, c), (b, a, d), sides)
+    new = both((a, d, c), (d, b, c), np.full_like(sides, -1))
     rest = merging.select(np.flatnonzero(~flip))
     stars = collapsing_stars(surface, rest)
     stay, number = ~stars.gone, stars.owner + len(a)
@@ -236,8 +244,16 @@ def _moves(
         flip=flip,
         merging=merging,
         apex=np.concatenate([vertices[c], stars.apex]),
-        old=_joined(old, _Pieces(number, was, stars.old)),
-        new=_joined(new, _Pieces(number[stay], becomes[stay], stars.new[stay])),
+        old=_joined(old, _Pieces(number, stars.face, was, stars.old)),
+        new=_joined(
+            new,
+            _Pieces(
+                number[stay],
+                np.full_like(number[stay], -1),
+                becomes[stay],
+                stars.new[stay],
+            ),
+        ),
     )
 
 
@@ -245,6 +261,7 @@ def _joined(one: _Pieces, other: _Pieces) -> _Pieces:
     """The pieces of one, then those of the other."""
     return _Pieces(
         np.concatenate([one.owner, other.owner]),
+        np.concatenate([one.face, other.face]),
         np.concatenate([one.corners, other.corners]),
         np.concatenate([one.triangles, other.triangles]),
     )
@@ -333,34 +350,15 @@ def _state(surface: Surface, pieces: _Pieces, count: int) -> _State:
     return _State(defects, sharpest, worst, largest, longest)
 
 
-def _crosses(surface: Surface, moves: _Moves, move: int) -> bool:
-    """Whether a move makes more intersections with what is near than there were."""
-    gone, faces, vertices = _replaced(surface, moves, move)
-    box = np.concatenate([surface.vertices[surface.faces[gone]], vertices[faces]])
-    low, high = box.min(axis=(0, 1)), box.max(axis=(0, 1))
-    triangles = surface.vertices[surface.faces]
-    near = np.all(
-        (triangles.min(axis=1) <= high) & (triangles.max(axis=1) >= low), axis=1
-    )
-    stay = surface.faces[near & ~gone]
-    before = intersecting_pairs(
-        surface.vertices, np.concatenate([stay, surface.faces[gone]])
-    )
-    after = intersecting_pairs(vertices, np.concatenate([stay, faces]))
-    return sum(map(len, after)) > sum(map(len, before))
-
-
-def _replaced(
-    surface: Surface, moves: _Moves, move: int
-) -> tuple[Bool[np.ndarray, " f"], Int[np.ndarray, "n 3"], Float[np.ndarray, "m 3"]]:
-    """Which faces a move takes away, those it puts there, and all positions then."""
-    stays, goes = moves.merging.stays[move], moves.merging.goes[move]
-    ends_in = np.isin(surface.faces, [stays, goes]).sum(axis=1)
-    vertices = surface.vertices.copy()
-    if not moves.flip[move]:
-        vertices[stays] = moves.apex[move]
-    gone = ends_in == 2 if moves.flip[move] else ends_in > 0
-    return gone, moves.new.corners[moves.new.owner == move], vertices
+def _first_clear(moves: _Moves, crossing: Crossing) -> int:
+    """The first move that crosses nothing, -1 for none."""
+    # Most often it is the very first; all at once is cheaper than one by one.
+    everything = np.arange(len(moves.edge))
+    for part in (everything[:1], everything[1:]):
+        clear = crossing.admits(moves.select(part).patches())
+        if clear.any():
+            return int(part[clear.argmax()])
+    return -1
 
 
 def _perform(
@@ -371,8 +369,9 @@ def _perform(
         chosen = np.array([move])
         merging = moves.merging.select(chosen)
         return collapse_edges(surface, topology, moves.edge[chosen], merging)
-    gone, new, _ = _replaced(surface, moves, move)
     faces = surface.faces.copy()
-    faces[gone] = new
+    faces[moves.old.face[moves.old.owner == move]] = moves.new.corners[
+        moves.new.owner == move
+    ]
     result = Surface(surface.vertices, faces, surface.fixed, surface.source)
     return result, Remeshing.unchanged(result)

@@ -55,7 +55,7 @@ class Stars:
         """The surface before and after each collapse."""
         stay = ~self.gone
         return Patches(
-            self.old, self.owner, self.new[stay], self.owner[stay], self.apex
+            self.old, self.owner, self.face, self.new[stay], self.owner[stay], self.apex
         )
 
 

@@ -8,9 +8,12 @@ What the paper leaves open, and our choice:
   together, then all gains are computed anew, until none is left. The sum over the mesh
   grows strictly with every flip, so this ends.
 - *Equal sums*: a gain below a small margin is none.
-- *Refused* are rim edges; an edge that exists already (the result would not be a
-  manifold); an end that would be left with fewer than three edges; a flip that changes
-  the shape; and one that harms a particle (see `jaxgrow.mesh.guard`).
+- *Refused* are rim edges; an edge that exists already, on the surface or on a wall (the
+  result would not be a manifold); an end that would be left with fewer than three
+  edges; a flip that changes the shape; one that harms a particle (see
+  `jaxgrow.mesh.guard`); and one that makes the surface cross itself or a wall (see
+  `jaxgrow.mesh.crossing`). Of two flips of a round that would cross each other, the
+  better one is done.
 - *What changes the shape*: a dihedral turn of more than ``max_angle`` between the old
   triangles, unless one of them is a cap so flat that the surface moves by less than
   ``FLAT`` of the edge (its normal says nothing then); a turn of more than ``max_angle``
@@ -24,6 +27,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxgrow.mesh.crossing import Crossing
 from jaxgrow.mesh.guard import Guard, Patches
 from jaxgrow.mesh.quality import area_vectors, lengths, radius_ratio, unit
 from jaxgrow.mesh.surface import Remeshing, Surface
@@ -38,7 +42,9 @@ def swap(
     surface: Surface,
     particles: Float[np.ndarray, "n 3"],
     *,
+    walls: Float[np.ndarray, "w 3 3"] | None = None,
     clearance: float = 0.15,
+    gap: float = 0.05,
     max_angle: float = np.pi / 3,
     margin: float = 1e-6,
     max_rounds: int = 50,
@@ -48,7 +54,10 @@ def swap(
     Args:
         surface: An oriented manifold with or without rim.
         particles: Live particles, which must keep their side.
+        walls: Static triangles that the surface must not cross, oriented as it is;
+            None for none.
         clearance: See `Guard` (length).
+        gap: See `Crossing` (length).
         max_angle: Largest turn between triangles that a flip may smooth away or
             leave behind (radians).
         margin: Relative gain below which nothing is flipped.
@@ -57,40 +66,50 @@ def swap(
     Returns:
         The surface with other faces and the same vertices, and a remeshing with counts:
         "swapped", and of the last round's wanted edges those refused by reason,
-        "swap_refused_edge_exists", "…_valence", "…_shape", "…_particle".
+        "swap_refused_edge_exists", "…_valence", "…_shape", "…_particle",
+        "…_intersection".
     """
     guard = Guard(particles, surface.vertices, clearance)
     faces = surface.faces
     swapped, refused = 0, {}
     for _ in range(max_rounds):
         topology = build_topology(faces, len(surface.vertices))
+        crossing = Crossing.of(surface.vertices, faces, walls, gap)
         edges, corners, refused = _wanted(
-            surface.vertices, faces, topology, guard, max_angle, margin
+            Surface(surface.vertices, faces, surface.fixed),
+            topology,
+            (guard, crossing),
+            max_angle,
+            margin,
         )
         if not len(edges):
             break
         rank = np.repeat(np.arange(len(edges)), 4)
         chosen = greedy_independent(rank, corners.ravel(), len(edges))
-        a, b, c, d = corners[chosen].T
-        near, far = topology.edge_faces[edges[chosen]].T
+        edges, corners = edges[chosen], corners[chosen]
+        together = crossing.compatible(
+            _patches(surface.vertices, topology, edges, corners)
+        )
+        a, b, c, d = corners[together].T
+        near, far = topology.edge_faces[edges[together]].T
         faces = faces.copy()
         faces[near] = np.stack([a, d, c], axis=1)
         faces[far] = np.stack([d, b, c], axis=1)
-        swapped += int(np.count_nonzero(chosen))
+        swapped += int(np.count_nonzero(together))
     counts = {"swapped": swapped, **refused}
     result = Surface(surface.vertices, faces, surface.fixed, surface.source)
     return result, Remeshing.unchanged(result, counts)
 
 
 def _wanted(
-    vertices: Float[np.ndarray, "m 3"],
-    faces: Int[np.ndarray, "f 3"],
+    surface: Surface,
     topology: Topology,
-    guard: Guard,
+    guards: tuple[Guard, Crossing],
     max_angle: float,
     margin: float,
 ) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, "k 4"], dict[str, int]]:
     """Edges to flip, best first; the ends a, b and opposite vertices c, d; refusals."""
+    vertices, faces = surface.vertices, surface.faces
     inner = np.flatnonzero(topology.interior)
     corners = np.concatenate([topology.edges, topology.opposite], axis=1)[inner]
     ratio = radius_ratio(vertices[faces])
@@ -109,16 +128,30 @@ def _wanted(
         refused[f"swap_refused_{reason}"] = int(np.count_nonzero(~good))
         inner, corners, gain = inner[good], corners[good], gain[good]
 
-    keep(~topology.has_edge(corners[:, 2], corners[:, 3]), "edge_exists")
+    taken = topology.has_edge(corners[:, 2], corners[:, 3])
+    rim = np.flatnonzero(surface.fixed[corners[:, 2:]].all(axis=1))
+    taken[rim] |= guards[1].walls_have_edge(vertices[corners[rim, 2:]])
+    keep(~taken, "edge_exists")
     keep(np.all(topology.valence[corners[:, :2]] > 3, axis=1), "valence")
     keep(_keeps_shape(vertices, faces, topology, inner, corners, max_angle), "shape")
+    for guard, reason in zip(guards, ("particle", "intersection"), strict=True):
+        keep(guard.admits(_patches(vertices, topology, inner, corners)), reason)
+    order = np.argsort(-gain, kind="stable")
+    return inner[order], corners[order], refused
+
+
+def _patches(
+    vertices: Float[np.ndarray, "m 3"],
+    topology: Topology,
+    edges: Int[np.ndarray, " k"],
+    corners: Int[np.ndarray, "k 4"],
+) -> Patches:
+    """The surface before and after each flip."""
     a, b, c, d = vertices[corners].transpose(1, 0, 2)
     owner = np.repeat(np.arange(len(corners)), 2)
     old = np.stack([a, b, c, b, a, d], axis=1).reshape(-1, 3, 3)
     new = np.stack([a, d, c, d, b, c], axis=1).reshape(-1, 3, 3)
-    keep(guard.admits(Patches(old, owner, new, owner, c)), "particle")
-    order = np.argsort(-gain, kind="stable")
-    return inner[order], corners[order], refused
+    return Patches(old, owner, topology.edge_faces[edges].ravel(), new, owner, c)
 
 
 def _keeps_shape(

@@ -18,6 +18,7 @@ def _flip(shift=0.0):
     return Patches(
         np.array([[a, b, c], [b, a, d]]),
         owner,
+        np.arange(2),
         np.array([[a, d, c], [d, b, c]]),
         owner,
         c[None],
@@ -82,6 +83,7 @@ def test_only_the_operation_that_harms_is_refused():
     both = Patches(
         np.concatenate([one.old, two.old]),
         owner,
+        np.arange(4),
         np.concatenate([one.new, two.new]),
         owner,
         np.concatenate([one.apex, two.apex]),
@@ -92,6 +94,7 @@ def test_only_the_operation_that_harms_is_refused():
 def test_no_operations_are_admitted_without_looking():
     nothing = Patches(
         np.zeros((0, 3, 3)),
+        np.zeros(0, dtype=np.int64),
         np.zeros(0, dtype=np.int64),
         np.zeros((0, 3, 3)),
         np.zeros(0, dtype=np.int64),

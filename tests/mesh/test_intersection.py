@@ -75,6 +75,14 @@ def test_meeting_agrees_with_sides_that_pierce(seed):
     assert np.array_equal(meeting(one, other), pierced)
 
 
+def test_segment_beside_a_triangle_in_its_plane_does_not_meet_it():
+    # as midpoints of a subdivision lie: the segment has no normal of its own
+    segment = [[2.5, 2.5, 0], [5.0, 1.0, 0], [5.0, 1.0, 0]]
+    assert not _meet(segment)
+    assert _meet([[1.5, 1.5, 0], [5.0, 1.0, 0], [5.0, 1.0, 0]])
+    assert not _meet([[4.5, -1, 0], [4.5, 5, 0], [4.5, 5, 0]])
+
+
 def test_meeting_does_not_depend_on_where_or_how_large():
     rng = np.random.default_rng(0)
     one, other = rng.normal(size=(2, 300, 3, 3))

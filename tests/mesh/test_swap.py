@@ -172,3 +172,27 @@ def test_swaps_keep_vertices_rim_and_topology(grid, nobody, seed):
     assert done.parents == ()
     assert is_manifold(after.faces, len(after.vertices))
     assert euler_number(after.faces) == 1
+
+
+def test_edge_that_a_wall_has_is_not_made_again():
+    # two triangles whose common edge wants to be flipped, all their vertices fixed
+    vertices = np.array([[0.0, 0, 0], [4, 0, 0], [2, 1, 0], [2, -1, 0]])
+    surface = Surface(vertices, np.array([[0, 1, 2], [1, 0, 3]]), np.ones(4, bool))
+    apex = np.array([2.0, 0.0, 3.0])
+    beside = np.stack([vertices[3], vertices[2], apex])[None]
+    other = np.stack([vertices[2], vertices[3], apex])[None]
+    # two more triangles around each end give the edge's ends the valence they need
+    ring = np.array([[-2.0, 1, 0], [-2, -1, 0], [6, 1, 0], [6, -1, 0]])
+    vertices = np.concatenate([vertices, ring])
+    more = np.array([[0, 2, 4], [0, 4, 5], [0, 5, 3], [1, 7, 6], [1, 6, 2], [1, 3, 7]])
+    surface = Surface(vertices, np.concatenate([surface.faces, more]), np.ones(8, bool))
+    free, done = swap(surface, np.zeros((0, 3)))
+    assert done.counts["swapped"] == 1
+    assert _has_edge(free, 2, 3)
+    for walls in (beside, other):
+        kept, done = swap(surface, np.zeros((0, 3)), walls=walls)
+        assert done.counts["swap_refused_edge_exists"] == 1
+        assert not _has_edge(kept, 2, 3)
+    # a wall that is elsewhere does not matter
+    _, done = swap(surface, np.zeros((0, 3)), walls=beside + 50.0)
+    assert done.counts["swapped"] == 1
