@@ -27,6 +27,8 @@ _RANGES = {
     "contact_sharpness": (4.0, 1000.0),
     "barrier_stiffness": (0.0, math.inf),
     "barrier_range": (0.01, 0.9),
+    "collision_range": (0.05, 2.0),
+    "collision_stiffness": (0.0, math.inf),
     "daughter_offset": (1e-9, 0.5),
 }
 
@@ -52,8 +54,11 @@ class Parameters(eqx.Module):
         contact_adhesion: factor of the attractive branch of that force.
         contact_sharpness: exponent p of the smooth minimum over triangles; the exact
             distance is its limit (see `jaxgrow.energy.contact`).
-        barrier_stiffness: factor of the logarithmic barrier at the membrane.
-        barrier_range: distance, in contact ranges, below which the barrier acts.
+        barrier_stiffness: factor of the logarithmic barriers at the membrane.
+        barrier_range: distance, in contact or collision ranges, below which it acts.
+        collision_range: distance r_c, in r0, from which on two sheets of the surface do
+            not repel each other (see `jaxgrow.energy.collision`).
+        collision_stiffness: factor of that repulsion.
         daughter_offset: distance δ, in r0, at which a polyp's new particle is put under
             its source vertex.
 
@@ -72,6 +77,8 @@ class Parameters(eqx.Module):
     contact_sharpness: Scalar = 20.0
     barrier_stiffness: Scalar = 10.0
     barrier_range: Scalar = 0.3
+    collision_range: Scalar = 0.5
+    collision_stiffness: Scalar = 1.0
     daughter_offset: Scalar = 0.1
 
     def __check_init__(self) -> None:

@@ -11,23 +11,8 @@ contact ranges,
 with U of `A2`. The A2 force is bounded, so it alone cannot keep a particle in; the
 logarithmic barrier b does (with the displacement bound of `jaxgrow.equilibrium`).
 
-The distance is a smooth minimum. The exact one, :math:`\min_t d_t` over the triangles,
-has kinks on the medial axis of the surface, and inside a fold or under a tip a particle
-is pushed precisely there, so that equilibria are not smooth and relaxation never ends.
-With q half of the sharpness p and the reach :math:`R = 3/2` in contact ranges,
-
-.. math::
-    u = \left( \Big( \sum_t a_t^2 \Big)^{1/2} + R^{-q} \right)^{-1/q}, \qquad
-    a_t = \max(0, u_t^{-q} - R^{-q}), \qquad u_t = d_t / r_s
-
-- one triangle gives exactly :math:`\min(u_t, R)`, and more never overestimate it;
-- the error is relative: n triangles equally far give a factor of at least
-  :math:`n^{-1/p}`, so u vanishes only where the exact distance does, and the barrier
-  stays meaningful (a log-sum-exp, with its absolute error, turns negative under a
-  vertex of the membrane);
-- it tends to :math:`\min_t u_t` as p grows;
-- it is continuously differentiable below R (at R the force is 0), and triangles beyond
-  the reach do not count at all, so that a list of the near ones is exact.
+The distance is the smooth minimum of `jaxgrow.energy.smooth_minimum` over the
+triangles within the reach of 3/2 contact ranges.
 """
 
 import equinox as eqx
@@ -37,6 +22,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxgrow.energy.a2 import A2, CUTOFF
 from jaxgrow.energy.distance import point_triangle_distance
+from jaxgrow.energy.smooth_minimum import smooth_minimum
 from jaxgrow.numerics import safe_norm
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Membrane, Particles
@@ -147,29 +133,28 @@ def smooth_distance(
         u as in the module's formula; the reach 3/2 where no triangle is nearer.
     """
     u = jnp.where(contacts.real, distance, CUTOFF) / parameters.contact_range
-    u = jnp.where(contacts.real, u, CUTOFF)
-    half = parameters.contact_sharpness / 2
-    nearest = jax.ops.segment_min(u, contacts.particle, count, indices_are_sorted=True)
-    # the formula is homogeneous: measured in the nearest distance nothing overflows
-    unit = jax.lax.stop_gradient(jnp.clip(nearest, 1e-9, CUTOFF))
-    unit_of_pair = unit[contacts.particle]
-    far = (unit / CUTOFF) ** half
-    positive = jnp.maximum(u, 1e-9)
-    excess = (unit_of_pair / positive) ** half - far[contacts.particle]
-    square = jnp.where(contacts.real, jnp.maximum(excess, 0) ** 2, 0)
-    total = jax.ops.segment_sum(
-        square, contacts.particle, count, indices_are_sorted=True
+    return smooth_minimum(
+        u,
+        contacts.particle,
+        contacts.real,
+        count,
+        sharpness=parameters.contact_sharpness,
+        reach=CUTOFF,
     )
-    some = total > 0
-    norm = jnp.where(some, jnp.sqrt(jnp.where(some, total, 1)), 0)
-    return jnp.where(some, unit * (norm + far) ** (-1 / half), CUTOFF)
 
 
-def barrier(u: Float[Array, "*n"], parameters: Parameters) -> Float[Array, "*n"]:
-    """The barrier b(u): infinite at 0, twice differentiable where it sets in."""
-    edge = parameters.barrier_range
-    inside = u < edge
-    safe = jnp.where(inside, jnp.maximum(u, 1e-12), edge)
+def barrier(
+    u: Float[Array, "*n"], margin: Float[Array, "*n"] | Scalar
+) -> Float[Array, "*n"]:
+    """The barrier b(u): infinite at 0, twice differentiable where it sets in.
+
+    Args:
+        u: distances.
+        margin: where it sets in, û; in the same unit, 0 for none.
+    """
+    inside = u < margin
+    safe = jnp.where(inside, jnp.maximum(u, 1e-12), 1)
+    edge = jnp.where(inside, margin, 1)
     return jnp.where(inside, -((safe - edge) ** 2) * jnp.log(safe / edge), 0)
 
 
@@ -185,7 +170,7 @@ def contact_energy(
     u = smooth_distance(distance, contacts, count, parameters)
     law = A2(parameters.contact_adhesion, parameters.smoothing)
     each = parameters.contact_stiffness * law.energy(u)
-    each += parameters.barrier_stiffness * barrier(u, parameters)
+    each += parameters.barrier_stiffness * barrier(u, parameters.barrier_range)
     return parameters.contact_range * jnp.sum(jnp.where(particles.alive, each, 0))
 
 

@@ -1,4 +1,4 @@
-"""Exact distance from a point to a triangle, twice differentiable."""
+"""Exact distances, point to triangle and segment to segment, twice differentiable."""
 
 import jax
 import jax.numpy as jnp
@@ -95,4 +95,79 @@ def _distance_jvp(
     length = safe_norm(offset)
     direction = offset / jnp.where(length > 0, length, 1)[..., None]
     moved = tangents[0] - jnp.sum(weights[..., None] * tangents[1], axis=-2)
+    return length, jnp.sum(direction * moved, axis=-1)
+
+
+def closest_shares(
+    first: Float[Array, "*p 2 3"], second: Float[Array, "*p 2 3"]
+) -> tuple[Float[Array, "*p"], Float[Array, "*p"]]:
+    """Where two segments are closest: shares s, t from 0 (start) to 1 (end) of each.
+
+    The nearest of five candidates: the feet of the common perpendicular, where both
+    fall inside, and the closest point of each end on the other segment. Parallel
+    segments have no such feet and are treated by their ends.
+    """
+    a, b = first[..., 0, :], first[..., 1, :]
+    c, d = second[..., 0, :], second[..., 1, :]
+    one, other, gap = b - a, d - c, c - a
+    square, along, square_other = _dot(one, one), _dot(one, other), _dot(other, other)
+    determinant = square * square_other - along**2
+    skew = determinant > 64 * jnp.finfo(along.dtype).eps * square * square_other
+    scale = 1 / jnp.where(skew, determinant, 1)
+    on_one, on_other = _dot(one, gap), _dot(other, gap)
+    s = (on_one * square_other - on_other * along) * scale
+    t = (on_one * along - on_other * square) * scale
+    inside = skew & (s > 0) & (s < 1) & (t > 0) & (t < 1)
+    zero = jnp.zeros_like(s)
+    candidates = (
+        (inside, s, t),
+        (True, zero, _along(-gap, other)),
+        (True, zero + 1, _along(b - c, other)),
+        (True, _along(gap, one), zero),
+        (True, _along(d - a, one), zero + 1),
+    )
+    best = jnp.full_like(zero, jnp.inf)
+    shares = zero, zero
+    for possible, s, t in candidates:
+        between = gap + t[..., None] * other - s[..., None] * one
+        distance = jnp.where(possible, _dot(between, between), jnp.inf)
+        nearer = distance < best
+        best = jnp.where(nearer, distance, best)
+        shares = jnp.where(nearer, s, shares[0]), jnp.where(nearer, t, shares[1])
+    return shares
+
+
+def _between(
+    first: Float[Array, "*p 2 3"], second: Float[Array, "*p 2 3"]
+) -> tuple[Float[Array, "*p 3"], Float[Array, "*p"], Float[Array, "*p"]]:
+    """Vector from the closest point of the second segment to that of the first."""
+    s, t = closest_shares(first, second)
+    return _at(first, s) - _at(second, t), s, t
+
+
+def _at(segment: Float[Array, "*p 2 3"], share: Float[Array, "*p"]) -> Array:
+    """The point of a segment at a share of its length."""
+    share = share[..., None]
+    return (1 - share) * segment[..., 0, :] + share * segment[..., 1, :]
+
+
+@jax.custom_jvp
+def segment_distance(
+    first: Float[Array, "*p 2 3"], second: Float[Array, "*p 2 3"]
+) -> Float[Array, "*p"]:
+    """Exact distance of two segments each; its derivatives are as for a triangle.
+
+    It has a kink where the segments are parallel.
+    """
+    return safe_norm(_between(first, second)[0])
+
+
+@segment_distance.defjvp
+def _segment_jvp(
+    primals: tuple[Array, Array], tangents: tuple[Array, Array]
+) -> tuple[Array, Array]:
+    offset, s, t = _between(*primals)
+    length = safe_norm(offset)
+    direction = offset / jnp.where(length > 0, length, 1)[..., None]
+    moved = _at(tangents[0], s) - _at(tangents[1], t)
     return length, jnp.sum(direction * moved, axis=-1)

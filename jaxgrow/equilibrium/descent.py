@@ -45,7 +45,7 @@ class Descent(eqx.Module):
 
     Attributes:
         nodes: positions accepted last; the lists are valid for them.
-        force: at these positions.
+        force: at these positions, on nodes that may not move too.
         lists: the current lists.
         memory: of the minimiser.
         residual: largest force on a free node, in F(0).
@@ -60,6 +60,11 @@ class Descent(eqx.Module):
     residual: Float[Array, ""]
     steps: Int[Array, ""]
     code: Int[Array, ""]
+
+
+def blank_memory(problem: Problem, minimiser: Minimiser) -> PyTree:
+    """The memory of a descent that has not begun."""
+    return minimiser.init(_rows(jax.tree.map(jnp.zeros_like, problem.nodes())))
 
 
 def _rows(nodes: Nodes) -> Float[Array, "d *_"]:
@@ -93,11 +98,12 @@ def descend(
     tolerance: Float[Array, ""],
     max_steps: Int[Array, ""],
     largest: Float[Array, ""],
+    memory: PyTree = None,
 ) -> Descent:
     """Move the free nodes until the largest force is at most `tolerance`.
 
     Stops early, with the last valid positions, when a list no longer fits or a force
-    is not finite.
+    is not finite, and when the host has to list the collisions anew.
 
     Args:
         problem: the energy, and the start.
@@ -106,10 +112,12 @@ def descend(
         tolerance: largest force allowed on a free node, in F(0).
         max_steps: bound on the number of steps.
         largest: longest displacement of a node in one step, in r0.
+        memory: of an earlier descent that this one goes on from; None for a new one.
     """
+    free = _rows(problem.free())
 
     def measure(force: Nodes, lists: Lists) -> tuple[Array, Array]:
-        residual = jnp.max(safe_norm(_rows(force)))
+        residual = jnp.max(safe_norm(free * _rows(force)))
         code = jnp.where(
             lists.overflow,
             Result.OVERFLOW.code,
@@ -126,10 +134,11 @@ def descend(
         return residual, code
 
     def running(now: Descent) -> Array:
-        return (now.code == Result.STEP_LIMIT.code) & (now.steps < max_steps)
+        unfinished = (now.code == Result.STEP_LIMIT.code) & (now.steps < max_steps)
+        return unfinished & ~now.lists.stale
 
     def move(now: Descent) -> Descent:
-        before = _rows(now.force)
+        before = free * _rows(now.force)
         step, memory = minimiser.propose(now.memory, before)
         uphill = jnp.sum(step * before) <= 0
         step = jnp.where(uphill, 0.05 * before, step)
@@ -139,7 +148,7 @@ def descend(
         lists = problem.update(nodes, now.lists)
         force = problem.forces(nodes, lists)
         residual, code = measure(force, lists)
-        memory = minimiser.learn(memory, step, before, _rows(force))
+        memory = minimiser.learn(memory, step, before, free * _rows(force))
         failed = (code == Result.OVERFLOW.code) | (code == Result.NON_FINITE.code)
 
         def keep(new: PyTree, old: PyTree) -> PyTree:
@@ -162,7 +171,7 @@ def descend(
         nodes,
         force,
         lists,
-        minimiser.init(_rows(force)),
+        minimiser.init(free * _rows(force)) if memory is None else memory,
         residual,
         jnp.zeros((), int),
         code,

@@ -6,6 +6,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxgrow import neighbors as nb
+from jaxgrow.energy.collision import (
+    collision_clearances,
+    collision_energy,
+    Collisions,
+)
 from jaxgrow.energy.contact import (
     clearances,
     contact_distances,
@@ -27,10 +32,11 @@ CONTACT_SKIN = 0.3
 
 
 class Lists(eqx.Module):
-    """The neighbour and contact lists of a problem, each only where it has the term."""
+    """The lists of a problem, each only where it has the term."""
 
     neighbors: nb.NeighborList | None
     contacts: Contacts | None
+    collisions: Collisions | None = None
 
     @property
     def overflow(self) -> Bool[Array, ""]:
@@ -41,6 +47,13 @@ class Lists(eqx.Module):
         if self.contacts is not None:
             full |= self.contacts.overflow
         return full
+
+    @property
+    def stale(self) -> Bool[Array, ""]:
+        """Whether the host must list the collisions anew before the next step."""
+        if self.collisions is None:
+            return jnp.zeros((), bool)
+        return self.collisions.stale
 
 
 class Problem(eqx.Module):
@@ -98,7 +111,7 @@ class Problem(eqx.Module):
         return self.at(nodes)._total(lists, pairs=True)
 
     def forces(self, nodes: Nodes, lists: Lists) -> Nodes:
-        """Minus the gradient of the energy, 0 on rows that may not move.
+        """Minus the gradient of the energy, on held and pinned nodes too.
 
         The pair force is evaluated on its own; it would be the same through the
         derivative rule of `pair_energy`, which costs the energy as well.
@@ -118,27 +131,36 @@ class Problem(eqx.Module):
                 moved.particles, nb.listed(lists.neighbors), self.parameters
             )
             total = eqx.tree_at(lambda n: n.particles, total, total.particles + pair)
-        return jax.tree.map(jnp.multiply, total, self.free())
+        return total
 
     def bound(self, nodes: Nodes, lists: Lists, largest: Scalar) -> Nodes:
         """How far each node may move in one step: `largest`, or less near contact.
 
         0.4 of the clearance of each particle and vertex (see
-        `jaxgrow.energy.contact.clearances`), so that nothing crosses the membrane.
+        `jaxgrow.energy.contact.clearances` and
+        `jaxgrow.energy.collision.collision_clearances`), so that nothing crosses the
+        membrane, itself included.
         """
         free = self.free()
         limit = jax.tree.map(lambda f: f[:, 0] * largest, free)
-        if lists.contacts is None:
-            return limit
-        particles, membrane = self.at(nodes).both()
-        distance = contact_distances(particles, membrane, lists.contacts)
-        near = clearances(
-            distance, lists.contacts, membrane, particles.position.shape[0]
-        )
-        return Nodes(
-            jnp.minimum(limit.particles, 0.4 * near[0]),
-            jnp.minimum(limit.vertices, 0.4 * near[1]),
-        )
+        at = self.at(nodes)
+        if lists.contacts is not None:
+            particles, membrane = at.both()
+            distance = contact_distances(particles, membrane, lists.contacts)
+            near = clearances(
+                distance, lists.contacts, membrane, particles.position.shape[0]
+            )
+            limit = Nodes(
+                jnp.minimum(limit.particles, 0.4 * near[0]),
+                jnp.minimum(limit.vertices, 0.4 * near[1]),
+            )
+        if lists.collisions is not None:
+            assert at.membrane is not None
+            clear = collision_clearances(at.membrane, lists.collisions)
+            limit = eqx.tree_at(
+                lambda n: n.vertices, limit, jnp.minimum(limit.vertices, 0.4 * clear)
+            )
+        return limit
 
     def update(self, nodes: Nodes, lists: Lists) -> Lists:
         """The lists for new positions, rebuilt where something moved too far."""
@@ -160,7 +182,11 @@ class Problem(eqx.Module):
                 lambda: list_contacts(particles, membrane, radius, capacity),
                 lambda: contacts,
             )
-        return Lists(neighbors, contacts)
+        collisions = lists.collisions
+        if collisions is not None:
+            assert nodes.vertices is not None
+            collisions = collisions.checked(nodes.vertices)
+        return Lists(neighbors, contacts, collisions)
 
     def _total(self, lists: Lists, *, pairs: bool) -> Float[Array, ""]:
         dtype = jax.tree.leaves(self.nodes())[0].dtype
@@ -173,6 +199,10 @@ class Problem(eqx.Module):
             total += spring_energy(self.membrane, self.parameters)
             if lists.contacts is not None:
                 total += contact_energy(*self.both(), lists.contacts, self.parameters)
+            if lists.collisions is not None:
+                total += collision_energy(
+                    self.membrane, lists.collisions, self.parameters
+                )
             if self.load is not None:
                 total -= jnp.sum(self.load * self.membrane.vertices)
         return total

@@ -1,7 +1,8 @@
 """Relaxation: the equilibrium of particles, of a membrane, or of both together."""
 
 import math
-from typing import Literal, NamedTuple
+from collections.abc import Callable
+from typing import Literal, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -10,22 +11,28 @@ from jaxtyping import Array, Float
 
 from jaxgrow import neighbors as nb
 from jaxgrow.capacity import capacity_for
+from jaxgrow.energy.collision import Collisions
 from jaxgrow.energy.contact import (
     Contacts,
     count_contacts,
     list_contacts,
     reach,
 )
-from jaxgrow.equilibrium.descent import descend, Descent, Minimiser
+from jaxgrow.equilibrium.descent import blank_memory, descend, Descent, Minimiser
 from jaxgrow.equilibrium.fire import FIRE
 from jaxgrow.equilibrium.lbfgs import LBFGS
 from jaxgrow.equilibrium.problem import CONTACT_SKIN, Lists, Problem
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
-from jaxgrow.state import Membrane, Particles
+from jaxgrow.state import Membrane, Nodes, Particles
 
 
 Method = Literal["auto", "lbfgs", "fire"]
+
+CollisionLister: TypeAlias = Callable[
+    [Float[Array, "m 3"], Collisions | None], Collisions
+]
+"""Lists on the host what may collide, given the vertices and the list before."""
 
 LARGEST_STEP = 0.1
 """Longest displacement of a node in one step, in r0."""
@@ -48,15 +55,26 @@ class RelaxationStats(NamedTuple):
 
 
 class Relaxation(NamedTuple):
-    """Outcome of `relax`; `lists` may be passed to the next call."""
+    """Outcome of `relax`.
+
+    Attributes:
+        state: particles and membrane.
+        result: CONVERGED, or why not.
+        stats: what it took.
+        lists: may be passed to the next call.
+        forces: on all nodes, in F(0); on those that are held or pinned, what the
+            border of a patch feels.
+    """
 
     state: tuple[Particles | None, Membrane | None]
     result: Result
     stats: RelaxationStats
     lists: Lists
+    forces: Nodes
 
 
 _descend = eqx.filter_jit(descend)
+_blank_memory = eqx.filter_jit(blank_memory)
 _count_contacts = eqx.filter_jit(count_contacts)
 
 
@@ -90,7 +108,7 @@ def allocate_lists(problem: Problem, before: Lists | None = None) -> Lists:
                 problem.particles, problem.membrane, radius, capacity=capacity
             )
             capacity = capacity_for(capacity + 1, least)
-    return Lists(neighbors, contacts)
+    return Lists(neighbors, contacts, None if before is None else before.collisions)
 
 
 def _fits(problem: Problem, lists: Lists) -> bool:
@@ -125,8 +143,11 @@ def relax(
     tolerance: float = 1e-3,
     method: Method = "auto",
     max_steps: int = 3000,
+    largest_step: float = LARGEST_STEP,
     load: Float[Array, "m 3"] | None = None,
     lists: Lists | None = None,
+    collide: CollisionLister | None = None,
+    observe: Callable[[Nodes], None] | None = None,
 ) -> Relaxation:
     """Bring particles and membrane to equilibrium: the largest force at a tolerance.
 
@@ -146,8 +167,14 @@ def relax(
         tolerance: largest force on a free node at the end, in F(0).
         method: "lbfgs", "fire", or "auto": L-BFGS, then FIRE if it does not converge.
         max_steps: bound on the steps of each method.
+        largest_step: longest displacement of a node in one step, in r0.
         load: external force on every vertex, in F(0).
         lists: of an earlier call, to spare their allocation.
+        collide: lists what the membrane may collide with (see
+            `jaxgrow.collisions.CollisionFinder`); None if it can collide with nothing,
+            and then no collision term is compiled.
+        observe: called with the positions after every single step, which makes the
+            relaxation several times slower.
 
     Returns:
         state, result, stats and lists. When the result is not CONVERGED the state is
@@ -161,12 +188,13 @@ def relax(
         raise ValueError("nothing to relax: give particles, a membrane, or both.")
     if not tolerance > 0:
         raise ValueError(f"tolerance is {tolerance}; it must be a positive force.")
-    nodes = Problem(particles, membrane, Parameters()).nodes()
-    dtype = jax.tree.leaves(nodes)[0].dtype
-    if parameters is None:
-        parameters = Parameters()
-    # as arrays: a Python float is a constant of the program, compiled for each value
-    given: Parameters = jax.tree.map(lambda v: jnp.asarray(v, dtype), parameters)
+    if not 0 < largest_step <= LARGEST_STEP:
+        raise ValueError(
+            f"largest_step is {largest_step}; it must be positive and at most "
+            f"{LARGEST_STEP}, or nodes could pass each other within a step."
+        )
+    problem = _problem(particles, membrane, parameters, load)
+    given = problem.parameters
     # the stiffest pairs bound the stable time step: 2 / √λ, and λ grows with s
     stiffest = jnp.maximum(1.0, given.tumour_stiffness)
     lbfgs = ("lbfgs", LBFGS())
@@ -178,17 +206,23 @@ def relax(
     }
     if method not in methods:
         raise ValueError(f"method is {method!r}; it must be one of {list(methods)}.")
-    problem = Problem(particles, membrane, given, load)
     if lists is None or not _fits(problem, lists):
         lists = allocate_lists(problem)
     stats = RelaxationStats(math.inf, 0, 0, method)
-    result = Result.STEP_LIMIT
+    result, forces = Result.STEP_LIMIT, problem.nodes()
     for name, minimiser in methods[method]:
         outcome, steps, overflows = _run(
-            problem, lists, minimiser, tolerance, max_steps
+            problem,
+            lists,
+            minimiser,
+            tolerance,
+            max_steps,
+            largest_step,
+            collide,
+            observe,
         )
         problem, lists = problem.at(outcome.nodes), outcome.lists
-        result = Result.of(int(outcome.code))
+        result, forces = Result.of(int(outcome.code)), outcome.force
         stats = RelaxationStats(
             float(outcome.residual),
             stats.steps + steps,
@@ -197,7 +231,25 @@ def relax(
         )
         if result is not Result.STEP_LIMIT:
             break
-    return Relaxation((problem.particles, problem.membrane), result, stats, lists)
+    state = problem.particles, problem.membrane
+    return Relaxation(state, result, stats, lists, forces)
+
+
+def _problem(
+    particles: Particles | None,
+    membrane: Membrane | None,
+    parameters: Parameters | None,
+    load: Float[Array, "m 3"] | None = None,
+) -> Problem:
+    """A problem whose parameters are arrays.
+
+    A Python float would be a constant of the program, compiled for each value.
+    """
+    nodes = Problem(particles, membrane, Parameters()).nodes()
+    dtype = jax.tree.leaves(nodes)[0].dtype
+    given = Parameters() if parameters is None else parameters
+    arrays: Parameters = jax.tree.map(lambda v: jnp.asarray(v, dtype), given)
+    return Problem(particles, membrane, arrays, load)
 
 
 def _run(
@@ -206,25 +258,48 @@ def _run(
     minimiser: Minimiser,
     tolerance: float,
     max_steps: int,
+    largest_step: float,
+    collide: CollisionLister | None,
+    observe: Callable[[Nodes], None] | None,
 ) -> tuple[Descent, int, int]:
-    """One method, with every list that overflows allocated anew and larger."""
+    """One method; every list that overflows is allocated anew and larger."""
     dtype = jax.tree.leaves(problem.nodes())[0].dtype
     steps = overflows = 0
+    memory = None
+    if collide is not None or observe is not None:
+        memory = _blank_memory(problem, minimiser)
     while True:
-        lists = _refresh(problem, lists)
-        if bool(lists.overflow):
-            lists = allocate_lists(problem, lists)
+        lists = _prepared(problem, lists, collide)
         outcome = _descend(
             problem,
             lists,
             minimiser,
             jnp.asarray(tolerance, dtype),
-            jnp.asarray(max_steps - steps),
-            jnp.asarray(LARGEST_STEP, dtype),
+            jnp.asarray(max_steps - steps if observe is None else 1),
+            jnp.asarray(largest_step, dtype),
+            memory,
         )
         steps += int(outcome.steps)
-        if Result.of(int(outcome.code)) is not Result.OVERFLOW:
+        problem, lists = problem.at(outcome.nodes), outcome.lists
+        if observe is not None and int(outcome.steps):
+            observe(outcome.nodes)
+        result = Result.of(int(outcome.code))
+        paused = observe is not None or bool(lists.stale)
+        if result is Result.OVERFLOW:
+            overflows += 1
+            lists = allocate_lists(problem, lists)
+        elif result is Result.STEP_LIMIT and steps < max_steps and paused:
+            memory = outcome.memory
+        else:
             return outcome, steps, overflows
-        overflows += 1
-        problem = problem.at(outcome.nodes)
-        lists = allocate_lists(problem, lists)
+
+
+def _prepared(problem: Problem, lists: Lists, collide: CollisionLister | None) -> Lists:
+    """Lists that are valid for where the problem is now."""
+    now = _refresh(problem, Lists(lists.neighbors, lists.contacts))
+    if bool(now.overflow):
+        now = allocate_lists(problem, now)
+    if collide is None or problem.membrane is None:
+        return now
+    found = collide(problem.membrane.vertices, lists.collisions)
+    return Lists(now.neighbors, now.contacts, found)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxgrow.energy.collision import collision_energy, Collisions
 from jaxgrow.energy.contact import contact_energy, list_contacts, reach
 from jaxgrow.energy.pair import pair_energy
 from jaxgrow.energy.springs import spring_energy
@@ -16,7 +17,11 @@ from jaxgrow.state import Membrane, Nodes, Particles
 
 
 PARAMETERS = Parameters(
-    tumour_stiffness=2.0, spring_stiffness=0.3, pretension=0.1, contact_adhesion=1.0
+    tumour_stiffness=2.0,
+    spring_stiffness=0.3,
+    pretension=0.1,
+    contact_adhesion=1.0,
+    collision_range=1.5,
 )
 CONTACTS = 512  # capacity of the lists of contacts
 SIDE = 5  # vertices along a side of the membrane
@@ -90,7 +95,42 @@ def _contact(particles, membrane, parameters):
     return jnp.where(contacts.overflow, jnp.nan, energy)
 
 
-TERMS = {"pair": _pair, "springs": _springs, "contact": _contact}
+def all_pairs(membrane, margin=0.3):
+    """Every vertex with every triangle and every edge with every edge, all apart."""
+    n, faces, edges = membrane.vertices.shape[0], membrane.faces, membrane.edges
+    vertex, face = (x.ravel() for x in jnp.indices((n, faces.shape[0])))
+    one, other = jnp.triu_indices(edges.shape[0], 1)
+    four = jnp.concatenate([edges[one], edges[other]], axis=1)
+    strange = ~jnp.any(faces[face] == vertex[:, None], axis=1)
+    strange &= membrane.vertex_alive[vertex] & membrane.face_alive[face]
+    foreign = ~jnp.any(four[:, :2, None] == four[:, None, 2:], axis=(1, 2))
+    foreign &= membrane.edge_alive[one] & membrane.edge_alive[other]
+    dtype = membrane.vertices.dtype
+    return Collisions(
+        still=jnp.zeros((0, 3), dtype),
+        vertex=vertex,
+        corners=faces[face],
+        apart=strange,
+        vertex_margin=jnp.where(strange, margin, 0).astype(dtype),
+        edges=four,
+        edge_margin=jnp.where(foreign, margin, 0).astype(dtype),
+        reference=membrane.vertices,
+        skin=jnp.asarray(0.4, dtype),
+        stale=jnp.zeros((), bool),
+    )
+
+
+def _collision(particles, membrane, parameters):
+    pairs = jax.lax.stop_gradient(all_pairs(membrane))
+    return collision_energy(membrane, pairs, parameters)
+
+
+TERMS = {
+    "pair": _pair,
+    "springs": _springs,
+    "contact": _contact,
+    "collision": _collision,
+}
 
 
 @pytest.fixture(scope="session", params=list(TERMS))

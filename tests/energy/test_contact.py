@@ -324,18 +324,20 @@ def test_barrier_is_the_printed_logarithm_below_its_range_and_zero_above():
     u = jnp.asarray([1e-6, 0.1, 0.29, 0.3, 0.5, 1.5])
     below = np.minimum(np.asarray(u), 0.3)
     wanted = -((below - 0.3) ** 2) * np.log(below / 0.3)
-    np.testing.assert_allclose(barrier(u, parameters), wanted, atol=1e-15)
-    assert not np.any(barrier(u, parameters)[3:])
+    np.testing.assert_allclose(barrier(u, parameters.barrier_range), wanted, atol=1e-15)
+    assert not np.any(barrier(u, parameters.barrier_range)[3:])
 
 
 def test_barrier_is_twice_differentiable_where_it_sets_in():
-    second = jax.vmap(jax.grad(jax.grad(lambda u: barrier(u, Parameters()))))
+    second = jax.vmap(
+        jax.grad(jax.grad(lambda u: barrier(u, Parameters().barrier_range)))
+    )
     found = second(jnp.asarray([0.3 - 1e-7, 0.3 + 1e-7]))
     np.testing.assert_allclose(found, 0, atol=1e-4)
 
 
 def test_barrier_repels_without_bound():
-    slope = jax.vmap(jax.grad(lambda u: barrier(u, Parameters())))
+    slope = jax.vmap(jax.grad(lambda u: barrier(u, Parameters().barrier_range)))
     force = -np.asarray(slope(jnp.asarray([1e-1, 1e-3, 1e-5, 1e-7])))
     assert np.all(np.diff(force) > 0)
     assert force[-1] > 1e4

@@ -1,0 +1,162 @@
+"""Finding what the membrane may collide with: host lists for the device's energy."""
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxgrow.capacity import capacity_for
+from jaxgrow.energy.collision import Collisions, LOCAL
+from jaxgrow.equilibrium.relax import LARGEST_STEP
+from jaxgrow.mesh.proximity import closest_on_segments, closest_on_triangles
+from jaxgrow.mesh.sheet import Encounters, encounters, join, nearest_apart, Sheet, Walls
+from jaxgrow.mesh.surface import Surface
+from jaxgrow.parameters import Parameters
+from jaxgrow.state import Membrane
+from jaxgrow.transfer import get, get_surface
+
+
+SKIN = 0.4
+"""Extra distance, in r0, up to which pairs are listed."""
+
+LEAST_PAIRS = 2048
+"""Capacity of the lists to begin with."""
+
+CAUTION = 0.5
+"""Share of its distance at rest at which a pair of neighbours begins to repel."""
+
+
+@dataclass(frozen=True, eq=False)
+class CollisionFinder:
+    """Lists the colliding parts of one membrane during one relaxation.
+
+    Attributes:
+        rest: the surface when its springs were reset.
+        names: for each of its vertices the organ's vertex that it is, or -1.
+        walls: the rest of the organ, in r0 from the site, or None.
+        collision_range: r_c, in r0.
+        barrier_range: in collision ranges.
+    """
+
+    rest: Surface
+    names: Int[np.ndarray, " m"]
+    walls: Walls | None
+    collision_range: float
+    barrier_range: float
+
+    @classmethod
+    def of(
+        cls,
+        membrane: Membrane,
+        names: Int[np.ndarray, " m"],
+        walls: Walls | None,
+        parameters: Parameters,
+    ) -> "CollisionFinder":
+        """For a membrane whose springs have just been reset."""
+        return cls(
+            get_surface(membrane),
+            names,
+            walls,
+            float(get(jnp.asarray(parameters.collision_range))),
+            float(get(jnp.asarray(parameters.barrier_range))),
+        )
+
+    def __call__(
+        self, vertices: Float[Array, "m 3"], before: Collisions | None
+    ) -> Collisions:
+        """All pairs that matter until a vertex has moved by half of the skin.
+
+        Args:
+            vertices: of the membrane, with its padding.
+            before: a list whose capacity is to be kept, or None.
+        """
+        # a pair that is not listed must not meet within one step of both its parts
+        least = 2.5 * LARGEST_STEP
+        sheet = self.sheet(get(vertices), self.collision_range + SKIN)
+        found = encounters(
+            sheet,
+            apart=max(self.collision_range, least) + SKIN,
+            local=max(self.barrier_range * self.collision_range, least) + SKIN,
+            along=LOCAL * self.collision_range,
+        )
+        return self._put(sheet, found, vertices, before)
+
+    def sheet(self, vertices: Float[np.ndarray, "m 3"], distance: float) -> Sheet:
+        """The surface with these vertices, and the walls within a distance of it."""
+        count = len(self.rest.vertices)
+        now = Surface(vertices[:count], self.rest.faces, self.rest.fixed)
+        return join(now, self.names, self.walls, distance)
+
+    def gap(self, vertices: Float[np.ndarray, "m 3"]) -> float:
+        """Smallest distance of two sheets in r0, infinite beyond the collision range.
+
+        Infinite means that the collision energy of this membrane is zero.
+        """
+        within = self.collision_range
+        sheet = self.sheet(vertices, within)
+        return nearest_apart(sheet, within=within, along=LOCAL * within)
+
+    def _put(
+        self,
+        sheet: Sheet,
+        found: Encounters,
+        vertices: Float[Array, "m 3"],
+        before: Collisions | None,
+    ) -> Collisions:
+        slots = vertices.shape[0]
+        n = sheet.n_surface
+        still = sheet.vertices[n:]
+
+        def capacity(size: int, array: Array | None, least: int) -> int:
+            return capacity_for(size, least if array is None else array.shape[0])
+
+        last = None if before is None else before
+        n_still = capacity(len(still), None if last is None else last.still, 64)
+        n_vertex = capacity(
+            len(found.vertex), None if last is None else last.vertex, LEAST_PAIRS
+        )
+        n_edge = capacity(
+            len(found.edges), None if last is None else last.edges, 2 * LEAST_PAIRS
+        )
+
+        def slot(index: np.ndarray) -> np.ndarray:
+            return np.where(index < n, index, index - n + slots)
+
+        def padded(array: np.ndarray, size: int, value: float) -> Array:
+            rows = [(0, size - len(array))] + [(0, 0)] * (array.ndim - 1)
+            return jnp.asarray(np.pad(array, rows, constant_values=value))
+
+        vertex_margin, edge_margin = self._margins(sheet, found)
+        dtype = vertices.dtype
+        return Collisions(
+            still=padded(still, n_still, 1e6).astype(dtype),
+            vertex=padded(slot(found.vertex), n_vertex, slots + n_still - 1),
+            corners=padded(slot(found.corners), n_vertex, 0),
+            apart=padded(found.vertex_apart, n_vertex, False),
+            vertex_margin=padded(vertex_margin, n_vertex, 0.0).astype(dtype),
+            edges=padded(slot(found.edges), n_edge, 0),
+            edge_margin=padded(edge_margin, n_edge, 0.0).astype(dtype),
+            reference=vertices,
+            skin=jnp.asarray(SKIN, dtype),
+            stale=jnp.zeros((), bool),
+        )
+
+    def _margins(
+        self, sheet: Sheet, found: Encounters
+    ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " q"]]:
+        """Where the barrier of each pair sets in, in collision ranges."""
+        rest = sheet.vertices.copy()
+        rest[: sheet.n_surface] = self.rest.vertices
+        vertex, _ = closest_on_triangles(rest[found.vertex], rest[found.corners])
+        ends = rest[found.edges]
+        edge, _, _ = closest_on_segments(ends[:, :2], ends[:, 2:])
+        margins = []
+        for distance, apart in (
+            (vertex, found.vertex_apart),
+            (edge, found.edge_apart),
+        ):
+            cautious = CAUTION * distance / self.collision_range
+            cautious = np.minimum(self.barrier_range, cautious)
+            margins.append(np.where(apart, self.barrier_range, cautious))
+        return margins[0], margins[1]

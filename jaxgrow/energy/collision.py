@@ -1,0 +1,160 @@
+r"""Energy of the collision of the membrane with itself and with static walls.
+
+"Collisions of the pathology's surface with the uterine cavity" are handled by "a purely
+repulsive force profile" (paper §5): A2 without its attractive branch, against the other
+wall of the organ, its other static parts, and the membrane itself. With
+:math:`u = d / r_c` in collision ranges,
+
+.. math::
+    E = r_c \Big( c \sum_v U_0(u_v)
+        + \kappa \sum_{(v, t)} b(u_{vt})
+        + \kappa \sum_{(e, e')} m_{ee'}\, b(u_{ee'}) \Big).
+
+- :math:`u_v` is the smooth minimum over the triangles t near vertex v that are *apart*
+  from it: farther along the surface than `LOCAL` ranges. Neighbours in the surface do
+  not repel each other.
+- The barrier b of all listed pairs, vertices against triangles and edges against edges,
+  keeps sheets from going through each other (cf. incremental potential contact, Li et
+  al., ACM Trans. Graph. 39, 2020). Of pairs that are apart it sets in at the barrier's
+  range, of neighbours at half of the distance that they had when the springs were last
+  reset, so that a surface at rest feels nothing.
+- The distance of edges has a kink where they are parallel; there m fades their term out
+  (:math:`m = s (2 - s)` for :math:`s = \sin^2 \angle / 10^{-3} < 1`), as ends against
+  triangles cover that case.
+
+Pairs that share a vertex are left out. Where two triangles that share vertices begin to
+intersect, a vertex meets a triangle or an edge an edge that it shares none with, so
+nothing is missed.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxgrow.energy.a2 import A2
+from jaxgrow.energy.contact import barrier
+from jaxgrow.energy.distance import point_triangle_distance, segment_distance
+from jaxgrow.energy.smooth_minimum import smooth_minimum
+from jaxgrow.numerics import safe_norm
+from jaxgrow.parameters import Parameters
+from jaxgrow.state import Membrane
+from jaxgrow.types import Scalar
+
+
+LOCAL = 3.0
+"""Distance along the surface, in collision ranges, up to which it is one sheet."""
+
+PARALLEL = 1e-3
+"""Squared sine of the angle below which two edges count as nearly parallel."""
+
+
+class Collisions(eqx.Module):
+    """Parts of the surface that may be within reach of each other.
+
+    Vertices are numbered through: first the membrane's slots, then the static ones.
+
+    Attributes:
+        still: static vertices, in r0.
+        vertex: of each pair of a vertex and a triangle, ascending.
+        corners: of its triangle.
+        apart: whether the two are far from each other along the surface.
+        vertex_margin: where the barrier of the pair sets in, in collision ranges; 0 for
+            padding.
+        edges: the four ends of each pair of edges.
+        edge_margin: likewise.
+        reference: vertices of the membrane when the list was made.
+        skin: the list holds until a vertex has moved by half of it, in r0.
+        stale: whether one has.
+    """
+
+    still: Float[Array, "s 3"]
+    vertex: Int[Array, " p"]
+    corners: Int[Array, "p 3"]
+    apart: Bool[Array, " p"]
+    vertex_margin: Float[Array, " p"]
+    edges: Int[Array, "q 4"]
+    edge_margin: Float[Array, " q"]
+    reference: Float[Array, "m 3"]
+    skin: Float[Array, ""]
+    stale: Bool[Array, ""]
+
+    def checked(self, vertices: Float[Array, "m 3"]) -> "Collisions":
+        """The same list, knowing whether it still holds."""
+        shift = jnp.max(safe_norm(vertices - self.reference))
+        return eqx.tree_at(lambda c: c.stale, self, shift > self.skin / 2)
+
+    def distances(
+        self, membrane: Membrane
+    ) -> tuple[Float[Array, " p"], Float[Array, " q"]]:
+        """Exact distance of all pairs in r0; infinite for padding."""
+        points = jnp.concatenate([membrane.vertices, self.still])
+        of_vertex = point_triangle_distance(points[self.vertex], points[self.corners])
+        ends = points[self.edges]
+        of_edge = segment_distance(ends[:, :2], ends[:, 2:])
+        return (
+            jnp.where(self.vertex_margin > 0, of_vertex, jnp.inf),
+            jnp.where(self.edge_margin > 0, of_edge, jnp.inf),
+        )
+
+
+def _skewness(membrane: Membrane, collisions: Collisions) -> Float[Array, " q"]:
+    """The factor m: 1, less for nearly parallel edges, 0 for parallel ones."""
+    points = jnp.concatenate([membrane.vertices, collisions.still])
+    ends = points[collisions.edges]
+    one, other = ends[:, 1] - ends[:, 0], ends[:, 3] - ends[:, 2]
+    area = jnp.sum(jnp.cross(one, other) ** 2, axis=-1)
+    scale = jnp.sum(one**2, axis=-1) * jnp.sum(other**2, axis=-1)
+    sine = area / jnp.where(scale > 0, scale, 1)
+    share = jnp.minimum(sine / PARALLEL, 1)
+    return share * (2 - share)
+
+
+def collision_energy(
+    membrane: Membrane, collisions: Collisions, parameters: Parameters
+) -> Float[Array, ""]:
+    """Energy in F(0) r0."""
+    scale = parameters.collision_range
+    vertex, edge = collisions.distances(membrane)
+    u = jnp.where(jnp.isfinite(vertex), vertex, 1) / scale
+    count = membrane.vertices.shape[0] + collisions.still.shape[0]
+    nearest = smooth_minimum(
+        u,
+        collisions.vertex,
+        collisions.apart,
+        count,
+        sharpness=parameters.contact_sharpness,
+        reach=1.0,
+    )
+    law = A2(0.0, parameters.smoothing)
+    repulsion = jnp.sum(jnp.where(nearest < 1, law.energy(nearest), 0))
+    walls = jnp.sum(barrier(u, collisions.vertex_margin))
+    u = jnp.where(jnp.isfinite(edge), edge, 1) / scale
+    skew = _skewness(membrane, collisions)
+    walls += jnp.sum(skew * barrier(u, collisions.edge_margin))
+    return scale * (
+        parameters.collision_stiffness * repulsion
+        + parameters.barrier_stiffness * walls
+    )
+
+
+def collision_clearances(
+    membrane: Membrane, collisions: Collisions
+) -> Float[Array, " m"]:
+    """Distance of every vertex's triangles and edges to what they must not cross.
+
+    If no vertex moves by half of it, no two listed pairs meet on the way.
+
+    Returns:
+        In r0, infinite where nothing is listed.
+    """
+    vertex, edge = collisions.distances(membrane)
+    total = membrane.vertices.shape[0]
+    clear = jnp.full(total, jnp.inf, vertex.dtype)
+    clear = clear.at[collisions.vertex].min(vertex, mode="drop")
+    clear = clear.at[collisions.corners].min(vertex[:, None], mode="drop")
+    return clear.at[collisions.edges].min(edge[:, None], mode="drop")
+
+
+def collision_reach(parameters: Parameters) -> Scalar:
+    """Distance, in r0, from which on no parts of the surface interact."""
+    return parameters.collision_range

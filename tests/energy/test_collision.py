@@ -1,0 +1,226 @@
+"""Collision: its formula on known shapes, its derivatives, and its clearances."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxgrow.energy.a2 import A2
+from jaxgrow.energy.collision import (
+    collision_clearances,
+    collision_energy,
+    Collisions,
+    PARALLEL,
+)
+from jaxgrow.energy.distance import segment_distance
+from jaxgrow.parameters import Parameters
+from jaxgrow.state import Membrane
+
+
+PARAMETERS = Parameters(collision_range=0.5)
+
+
+def membrane_of(vertices):
+    """A membrane of so many vertices; collisions ask for nothing else of it."""
+    count = len(vertices)
+    return Membrane(
+        jnp.asarray(vertices, float),
+        jnp.zeros((1, 3), int),
+        jnp.zeros((1, 2), int),
+        jnp.zeros(1),
+        jnp.ones(count, bool),
+        jnp.ones(1, bool),
+        jnp.ones(1, bool),
+        jnp.zeros(count, bool),
+        jnp.asarray(-1),
+    )
+
+
+def pairs(vertices, *, vertex=(), edges=(), apart=True, margin=0.3, still=()):
+    """Lists of a pair (vertex, its triangle) and of pairs of edges."""
+    index = [v for v, _ in vertex]
+    corners = [c for _, c in vertex]
+    return Collisions(
+        still=jnp.asarray(np.reshape(still, (-1, 3)), float),
+        vertex=jnp.asarray(index, int),
+        corners=jnp.asarray(np.reshape(corners, (-1, 3)), int),
+        apart=jnp.full(len(index), apart),
+        vertex_margin=jnp.full(len(index), margin),
+        edges=jnp.asarray(np.reshape(edges, (-1, 4)), int),
+        edge_margin=jnp.full(len(edges), margin),
+        reference=jnp.asarray(vertices, float),
+        skin=jnp.asarray(0.4),
+        stale=jnp.zeros((), bool),
+    )
+
+
+FLOOR = [[-1.0, -1.0, 0.0], [2.0, -1.0, 0.0], [-1.0, 2.0, 0.0]]
+
+
+def above(height):
+    """A vertex over a triangle."""
+    vertices = [*FLOOR, [0.0, 0.0, height]]
+    return membrane_of(vertices), pairs(vertices, vertex=[(3, (0, 1, 2))])
+
+
+@pytest.mark.parametrize("height", [0.05, 0.2, 0.35, 0.49])
+def test_vertex_over_a_triangle_has_the_repulsive_profile_and_the_barrier(height):
+    u = height / 0.5
+    wanted = A2(0.0, PARAMETERS.smoothing).energy(jnp.asarray(u))
+    wanted += 10 * (-((u - 0.3) ** 2) * np.log(u / 0.3) if u < 0.3 else 0)
+    energy = collision_energy(*above(height), PARAMETERS)
+    np.testing.assert_allclose(energy, 0.5 * wanted, rtol=1e-12)
+
+
+def test_nothing_is_felt_beyond_the_range():
+    value, slope = jax.value_and_grad(
+        lambda z: collision_energy(*above(z), PARAMETERS)
+    )(0.5000001)
+    assert value == 0
+    assert slope == 0
+
+
+@pytest.mark.parametrize("height", np.linspace(0.01, 0.499, 12))
+def test_collisions_only_repel(height):
+    slope = jax.grad(lambda z: collision_energy(*above(z), PARAMETERS))(height)
+    assert slope < 0
+
+
+def test_barrier_grows_without_bound():
+    slope = jax.grad(lambda z: collision_energy(*above(z), PARAMETERS))
+    assert slope(1e-8) < 1e3 * slope(1e-3) < 0
+
+
+def test_neighbours_feel_nothing_beyond_their_margin():
+    vertices = [*FLOOR, [0.0, 0.0, 0.2]]
+    near = pairs(vertices, vertex=[(3, (0, 1, 2))], apart=False, margin=0.3)
+    assert collision_energy(membrane_of(vertices), near, PARAMETERS) == 0
+    vertices[3][2] = 0.1
+    near = pairs(vertices, vertex=[(3, (0, 1, 2))], apart=False, margin=0.3)
+    assert collision_energy(membrane_of(vertices), near, PARAMETERS) > 0
+
+
+def crossing(gap, angle=np.pi / 2):
+    """Two edges of length 2 whose middles lie over each other."""
+    c, s = np.cos(angle), np.sin(angle)
+    return [[-1.0, 0, 0], [1.0, 0, 0], [-c, -s, gap], [c, s, gap]]
+
+
+@pytest.mark.parametrize("gap", [0.01, 0.1, 0.149])
+def test_crossed_edges_have_the_barrier(gap):
+    vertices, u = crossing(gap), gap / 0.5
+    energy = collision_energy(
+        membrane_of(vertices), pairs(vertices, edges=[(0, 1, 2, 3)]), PARAMETERS
+    )
+    wanted = -0.5 * 10 * (u - 0.3) ** 2 * np.log(u / 0.3)
+    np.testing.assert_allclose(energy, wanted, rtol=1e-12)
+
+
+def test_term_of_edges_fades_out_where_they_are_parallel():
+    angles = [0.0, 0.5 * np.sqrt(PARALLEL), 2 * np.sqrt(PARALLEL), 1.0]
+    energies = []
+    for angle in angles:
+        vertices = crossing(0.05, angle)
+        listed = pairs(vertices, edges=[(0, 1, 2, 3)])
+        energies.append(collision_energy(membrane_of(vertices), listed, PARAMETERS))
+    full = energies[3]
+    np.testing.assert_allclose(energies[0], 0, atol=1e-15)
+    assert 0.3 * full < energies[1] < 0.6 * full
+    np.testing.assert_allclose(energies[2], full, rtol=1e-12)
+
+
+def test_static_vertices_repel_too():
+    vertices = [[0.0, 0.0, 0.2]]
+    listed = pairs(vertices, vertex=[(0, (1, 2, 3))], still=FLOOR)
+    energy = collision_energy(membrane_of(vertices), listed, PARAMETERS)
+    np.testing.assert_allclose(
+        energy, collision_energy(*above(0.2), PARAMETERS), rtol=1e-12
+    )
+
+
+@pytest.fixture(scope="module")
+def tangle():
+    """Random vertices with random pairs, some closer than the barrier's range."""
+    rng = np.random.default_rng(3)
+    vertices = rng.uniform(0, 1, (16, 3))
+    vertex = np.sort(rng.integers(0, 16, 40))
+    corners = [rng.permutation(np.delete(np.arange(16), v))[:3] for v in vertex]
+    edges = [rng.permutation(16)[:4] for _ in range(40)]
+    listed = pairs(
+        vertices, vertex=list(zip(vertex, corners, strict=True)), edges=edges
+    )
+    return membrane_of(vertices), listed
+
+
+def test_derivatives_are_those_of_the_energy(tangle):
+    membrane, listed = tangle
+
+    def energy(vertices):
+        at = eqx.tree_at(lambda m: m.vertices, membrane, vertices)
+        return collision_energy(at, listed, PARAMETERS)
+
+    slope = jax.jit(jax.grad(energy))
+    at = membrane.vertices
+    way = np.random.default_rng(1).normal(size=at.shape)
+    curve = jax.jit(lambda v: jax.jvp(jax.grad(energy), (v,), (way,))[1])(at)
+    h = 1e-7
+    value = (energy(at + h * way) - energy(at - h * way)) / (2 * h)
+    np.testing.assert_allclose(np.sum(slope(at) * way), value, rtol=1e-5)
+    change = (slope(at + h * way) - slope(at - h * way)) / (2 * h)
+    np.testing.assert_allclose(curve, change, rtol=1e-5, atol=1e-4 * abs(change).max())
+
+
+def segment_oracle(first, second):
+    """Distance of two segments by a fine grid and its refinement."""
+    low, distance = np.zeros(2), np.zeros(1)
+    high = np.ones(2)
+    for _ in range(30):
+        s, t = np.meshgrid(
+            *(np.linspace(a, b, 21) for a, b in zip(low, high, strict=True))
+        )
+        p = first[0] + s[..., None] * (first[1] - first[0])
+        q = second[0] + t[..., None] * (second[1] - second[0])
+        distance = np.linalg.norm(p - q, axis=-1)
+        best = np.unravel_index(distance.argmin(), distance.shape)
+        centre, width = np.array([s[best], t[best]]), 0.15 * (high - low)
+        low, high = np.clip(centre - width, 0, 1), np.clip(centre + width, 0, 1)
+    return distance.min()
+
+
+def test_segment_distance_is_that_of_a_search():
+    rng = np.random.default_rng(0)
+    first, second = rng.normal(size=(2, 40, 2, 3))
+    second[:5, 1] = second[:5, 0] + 0.7 * (first[:5, 1] - first[:5, 0])  # parallel
+    second[5:8, 1] = second[5:8, 0]  # a point
+    wanted = [segment_oracle(a, b) for a, b in zip(first, second, strict=True)]
+    found = segment_distance(jnp.asarray(first), jnp.asarray(second))
+    np.testing.assert_allclose(found, wanted, rtol=1e-7)
+
+
+def test_half_of_the_clearance_keeps_all_pairs_apart(tangle):
+    membrane, listed = tangle
+    clear = np.asarray(collision_clearances(membrane, listed))
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        step = rng.normal(size=(16, 3))
+        step *= (0.499 * clear / np.linalg.norm(step, axis=1))[:, None]
+        for share in np.linspace(0, 1, 11):
+            at = eqx.tree_at(
+                lambda m: m.vertices, membrane, membrane.vertices + share * step
+            )
+            vertex, edge = listed.distances(at)
+            assert vertex.min() > 0
+            assert edge.min() > 0
+
+
+def test_clearance_is_the_smallest_distance_of_what_a_vertex_belongs_to():
+    membrane, listed = above(0.2)
+    np.testing.assert_allclose(collision_clearances(membrane, listed), 0.2)
+
+
+def test_list_is_stale_once_a_vertex_has_moved_by_half_of_its_skin(tangle):
+    membrane, listed = tangle
+    for shift, stale in ((0.19, False), (0.21, True)):
+        moved = membrane.vertices.at[4, 1].add(shift)
+        assert bool(listed.checked(moved).stale) is stale
