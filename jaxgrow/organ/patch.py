@@ -82,9 +82,63 @@ def cut_patch(organ: Organ, site: Site, radius_mm: float, *, r0_mm: float) -> Pa
     Raises:
         OrganError: If the patch is too small or takes nearly the whole organ.
     """
+    return _cut(organ, site, radius_mm, r0_mm, np.zeros(0, dtype=np.int64))
+
+
+def widen_patch(organ: Organ, patch: Patch, radius_mm: float) -> Patch:
+    """Cut out a larger patch around a patch.
+
+    It has all triangles of the patch and all that touch it, so that the old rim lies
+    inside it everywhere, and those within the radius as in ``cut_patch``.
+
+    Args:
+        organ: The organ.
+        patch: The patch that it is to contain.
+        radius_mm: Distance in mm from the site up to which vertices belong to it.
+
+    Returns:
+        The larger patch, of the same site and the same unit: local positions stay.
+
+    Raises:
+        OrganError: If it takes nearly the whole organ.
+    """
+    touching = np.any(np.isin(organ.faces, patch.organ_index), axis=1)
+    around = np.unique(organ.faces[touching])
+    return _cut(organ, patch.site, radius_mm, patch.r0_mm, around)
+
+
+def seen_from_lumen(
+    organ: Organ, mask: Bool[np.ndarray, "F"]
+) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "f 3"]]:
+    """Some of the organ's triangles on their own, normals into the lumen.
+
+    Args:
+        organ: The organ.
+        mask: The triangles.
+
+    Returns:
+        The organ's vertices that they use, in ascending order, and the triangles as
+        positions in that list.
+    """
+    index, flat = np.unique(organ.faces[mask], return_inverse=True)
+    faces = flat.reshape(-1, 3)
+    if organ.lumen_sign < 0:
+        faces = faces[:, ::-1]
+    return index, np.ascontiguousarray(faces)
+
+
+def _cut(
+    organ: Organ,
+    site: Site,
+    radius_mm: float,
+    r0_mm: float,
+    taken: Int[np.ndarray, "k"],
+) -> Patch:
+    """The patch of a radius, and of vertices that are taken in at any distance."""
     topology = build_topology(organ.faces, len(organ.vertices))
     local = organ.vertices - site.point
     reached = distances_along(local, organ.faces, topology, site.face) <= radius_mm
+    reached[taken] = True
     mask = np.all(reached[organ.faces], axis=1)
     mask[site.face] = True
     corners = local[organ.faces]
@@ -109,11 +163,7 @@ def cut_patch(organ: Organ, site: Site, radius_mm: float, *, r0_mm: float) -> Pa
         )
         raise OrganError(msg)
 
-    organ_index, flat = np.unique(organ.faces[mask], return_inverse=True)
-    faces = flat.reshape(-1, 3)
-    if organ.lumen_sign < 0:
-        faces = faces[:, ::-1]
-    faces = np.ascontiguousarray(faces)
+    organ_index, faces = seen_from_lumen(organ, mask)
     rim = build_topology(faces, len(organ_index)).rim_vertices
     return Patch(
         site=site,

@@ -8,9 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
-from jaxgrow.mesh.proximity import closest_on_triangles, nearest_on_mesh
-from jaxgrow.mesh.quality import area_vectors, lengths, unit
-from jaxgrow.mesh.topology import build_topology
+from jaxgrow.organ.layer import Addition, Layer
 from jaxgrow.organ.organ import Organ, OrganError
 from jaxgrow.organ.patch import Patch
 
@@ -18,12 +16,18 @@ from jaxgrow.organ.patch import Patch
 DISTANCE = 0.8
 """Smallest distance of two particles over the spacing, if the density allows it.
 
-Random sequential packing of equal spheres jams at a volume fraction of 0.384, that is
-at 1.43 particles per spacing³ for this distance.
+Random sequential packing of equal spheres jams at a volume fraction of 0.384.
 """
+
+JAMMED = 1.43
+"""Particles per spacing³ at which random packing jams for that distance."""
 
 SHRINK = 0.95
 """Factor on the smallest distance when no more particles fit."""
+
+MOST_SHRINKS = 2
+"""By this many factors the distance may fall below the one that a density dictates,
+where particles are added around others."""
 
 PATIENCE = 20
 """Batches of candidates in a row that may bring less than a hundredth of what is
@@ -95,15 +99,8 @@ def fill_tissue(
     Raises:
         OrganError: If a length makes no sense or the layer has no room.
     """
-    if not (0 <= gap < thickness and spacing > 0 and density > 0 and hold >= 0):
-        msg = (
-            f"a tissue layer with spacing {spacing:g}, density {density:g}, thickness "
-            f"{thickness:g}, gap {gap:g} and hold {hold:g} (in r0) cannot be filled: "
-            "spacing and density must be positive, hold not negative, and the gap "
-            "smaller than the thickness."
-        )
-        raise OrganError(msg)
-    layer = _Layer(organ, patch, gap, thickness)
+    _check_lengths(spacing, density, thickness, gap, hold)
+    layer = Layer(organ, patch, gap, thickness)
     survey = _survey(layer, CELL * spacing, rng)
     wanted = round(density * survey.volume / spacing**3)
     if wanted < 1:
@@ -117,8 +114,70 @@ def fill_tissue(
     points, depth, distance = _throw_darts(
         layer, survey, wanted, DISTANCE * spacing, rng
     )
-    held = (depth > thickness - hold) | (layer.distance_to_sides(points) < hold)
+    held = layer.near_edge(points, depth, hold)
     return Tissue(points, held, depth, distance, survey.volume)
+
+
+def extend_tissue(
+    space: Addition,
+    points: Float[np.ndarray, "n 3"],
+    *,
+    spacing: float,
+    density: float,
+    hold: float,
+    rng: np.random.Generator,
+) -> Tissue:
+    """Fill what a layer has more than the one before it, around the particles there.
+
+    Darts are thrown as in ``fill_tissue``, none near a particle. Particles that have
+    moved into the new space count for its density. So that none is put too close to
+    one of them, the distance shrinks ``MOST_SHRINKS`` times at most below that at
+    which random packing has the density; then what does not fit is left out.
+
+    Args:
+        space: What the layer has more.
+        points: The particles, wherever they have moved.
+        spacing: Distance of neighbours that the particles are to have.
+        density: Particles per spacing³.
+        hold: Particles within this distance of the layer's bottom or sides are held.
+        rng: Draws the darts.
+
+    Returns:
+        The new particles; there may be none.
+
+    Raises:
+        OrganError: If a length makes no sense.
+    """
+    layer = space.layer
+    _check_lengths(spacing, density, layer.thickness, layer.gap, hold)
+    survey = _survey(space, CELL * spacing, rng)
+    moved_in = len(space.inside(points).points)
+    wanted = max(round(density * survey.volume / spacing**3) - moved_in, 0)
+    dense = min(1.0, np.cbrt(JAMMED / density))
+    new, depth, distance = _throw_darts(
+        space,
+        survey,
+        wanted,
+        DISTANCE * spacing,
+        rng,
+        around=points,
+        least=DISTANCE * spacing * dense * SHRINK**MOST_SHRINKS,
+    )
+    held = layer.near_edge(new, depth, hold)
+    return Tissue(new, held, depth, distance, survey.volume)
+
+
+def _check_lengths(
+    spacing: float, density: float, thickness: float, gap: float, hold: float
+) -> None:
+    if not (0 <= gap < thickness and spacing > 0 and density > 0 and hold >= 0):
+        msg = (
+            f"a tissue layer with spacing {spacing:g}, density {density:g}, thickness "
+            f"{thickness:g}, gap {gap:g} and hold {hold:g} (in r0) cannot be filled: "
+            "spacing and density must be positive, hold not negative, and the gap "
+            "smaller than the thickness."
+        )
+        raise OrganError(msg)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,8 +194,8 @@ class _Survey:
     volume: float
 
 
-def _survey(layer: _Layer, side: float, rng: np.random.Generator) -> _Survey:
-    size = layer.high - layer.low
+def _survey(space: Layer | Addition, side: float, rng: np.random.Generator) -> _Survey:
+    size = space.high - space.low
     coarsest, finest = np.cbrt(np.prod(size) / [FEWEST_CELLS, MOST_CELLS])
     side = float(np.clip(side, finest, coarsest))
     cells = np.ceil(size / side).astype(np.int64)
@@ -144,41 +203,67 @@ def _survey(layer: _Layer, side: float, rng: np.random.Generator) -> _Survey:
         np.meshgrid(*(np.arange(number) for number in cells), indexing="ij"), axis=-1
     ).reshape(-1, 3)
     cell = size / cells
-    tried = layer.low + (corner + rng.uniform(size=corner.shape)) * cell
-    points, depth = layer.inside(tried)
+    tried = space.low + (corner + rng.uniform(size=corner.shape)) * cell
+    points, depth, _ = space.inside(tried)
     volume = float(np.prod(cell) * len(points))
     order = rng.permutation(len(points))
     return _Survey(points[order], depth[order], cell, volume)
 
 
 def _throw_darts(
-    layer: _Layer,
+    space: Layer | Addition,
     survey: _Survey,
     wanted: int,
     distance: float,
     rng: np.random.Generator,
+    *,
+    around: Float[np.ndarray, "a 3"] | None = None,
+    least: float = 0.0,
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n"], float]:
     """Particles until there are enough, at the largest distance that allows it.
 
     The survey's points are the first darts; further ones fall within one cell of
-    those, which reaches every corner of the layer and seldom misses it.
+    those, which reaches every corner of the space and seldom misses it.
+
+    Args:
+        space: To be filled.
+        survey: Of the space.
+        wanted: How many particles.
+        distance: Of any two of them, at first.
+        rng: Draws the darts.
+        around: Particles that are there already.
+        least: The distance does not shrink below it; rather there are fewer particles.
+
+    Returns:
+        The particles, their depths, and the distance in the end.
     """
-    first = _greedy(survey.points, distance)[:wanted]
+    there = np.zeros((0, 3)) if around is None else around
+    far = np.flatnonzero(_apart(survey.points, there, distance))
+    first = far[_greedy(survey.points[far], distance)[:wanted]]
     points, depth = survey.points[first], survey.depth[first]
     idle = 0
     while len(points) < wanted:
         missing = wanted - len(points)
         near = survey.points[rng.integers(len(survey.points), size=BATCH)]
         darts = near + rng.uniform(-1, 1, size=(BATCH, 3)) * survey.cell
-        gap = KDTree(points).query(darts, distance_upper_bound=distance)[0]
-        new, new_depth = layer.inside(darts[np.isinf(gap)])
+        apart = _apart(darts, np.concatenate([there, points]), distance)
+        new, new_depth, _ = space.inside(darts[apart])
         free = _greedy(new, distance)[:missing]
         points = np.concatenate([points, new[free]])
         depth = np.concatenate([depth, new_depth[free]])
         idle = 0 if 100 * len(free) >= missing else idle + 1
         if idle >= PATIENCE:
+            if distance * SHRINK < least:
+                break
             idle, distance = 0, distance * SHRINK
     return points, depth, distance
+
+
+def _apart(
+    points: Float[np.ndarray, "n 3"], others: Float[np.ndarray, "o 3"], distance: float
+) -> Bool[np.ndarray, "n"]:
+    """Points that are not within a distance of any of the others."""
+    return np.isinf(KDTree(others).query(points, distance_upper_bound=distance)[0])
 
 
 def _greedy(points: Float[np.ndarray, "n 3"], distance: float) -> Int[np.ndarray, "k"]:
@@ -190,126 +275,3 @@ def _greedy(points: Float[np.ndarray, "n 3"], distance: float) -> Int[np.ndarray
             if free[first]:
                 free[second] = False
     return np.flatnonzero(free)
-
-
-class _Layer:
-    """The space under a patch: which points lie in it, and how deep."""
-
-    def __init__(
-        self, organ: Organ, patch: Patch, gap: float, thickness: float
-    ) -> None:
-        self.gap, self.thickness = gap, thickness
-        vertices = patch.to_local(organ.vertices)
-        self.low = patch.vertices.min(axis=0) - thickness
-        self.high = patch.vertices.max(axis=0) + thickness
-        # no triangle further than the thickness from the box can be the nearest one
-        # of a point of the layer
-        corners = vertices[organ.faces]
-        near = (corners.max(axis=1) >= self.low - thickness).all(axis=1)
-        near &= (corners.min(axis=1) <= self.high + thickness).all(axis=1)
-        self.vertices = vertices
-        self.faces = organ.faces[near]
-        self.on_patch = patch.face_mask[near]
-        self.tissue_sign = -organ.lumen_sign
-        self.pseudonormals = _pseudonormals(vertices, self.faces)
-        triangles = patch.vertices[patch.faces]
-        self.centres = KDTree(triangles.mean(axis=1))
-        self.radius = lengths(triangles - triangles.mean(axis=1)[:, None]).max()
-        self.side = _side_walls(patch, self.pseudonormals[2], thickness, organ)
-
-    def inside(
-        self, points: Float[np.ndarray, "n 3"]
-    ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k"]]:
-        """The points that lie in the layer, and their depth."""
-        reach = self.thickness + self.radius
-        found = self.centres.query(points, distance_upper_bound=reach)[0]
-        points = points[np.isfinite(found)]
-        depth, inside = self.depth(points)
-        return points[inside], depth[inside]
-
-    def depth(
-        self, points: Float[np.ndarray, "n 3"]
-    ) -> tuple[Float[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
-        """Exact distance to the organ's surface, and whether the point is inside.
-
-        The side is the sign of (x - c) · n with c the closest point and n the
-        pseudonormal there: of the triangle, of the edge (sum of its two triangles) or
-        of the vertex (sum weighted by angle), whichever c lies on. This sign is exact
-        (Baerentzen & Aanaes, Signed distance computation using the angle weighted
-        pseudonormal, IEEE TVCG 11, 2005).
-        """
-        if not len(points):
-            return np.zeros(0), np.zeros(0, dtype=bool)
-        distance, face, closest = nearest_on_mesh(points, self.vertices, self.faces)
-        weights = closest_on_triangles(points, self.vertices[self.faces[face]])[1]
-        of_face, of_edge, of_vertex = self.pseudonormals
-        normal = of_face[face]
-        absent = weights == 0
-        on_edge = absent.sum(axis=1) == 1
-        # the side that starts after the corner without weight
-        side = (np.argmax(absent, axis=1) + 1) % 3
-        normal = np.where(on_edge[:, None], of_edge[face, side], normal)
-        corner = self.faces[face, np.argmax(weights, axis=1)]
-        on_vertex = absent.sum(axis=1) == 2
-        normal = np.where(on_vertex[:, None], of_vertex[corner], normal)
-        outside = np.einsum("ni,ni->n", points - closest, normal)
-        inside = (
-            (self.tissue_sign * outside > 0)
-            & (distance >= self.gap)
-            & (distance <= self.thickness)
-            & self.on_patch[face]
-        )
-        return distance, inside
-
-    def distance_to_sides(
-        self, points: Float[np.ndarray, "n 3"]
-    ) -> Float[np.ndarray, "n"]:
-        """Distance to the walls that drop from the rim along its normals."""
-        vertices, faces = self.side
-        return nearest_on_mesh(points, vertices, faces)[0]
-
-
-def _pseudonormals(
-    vertices: Float[np.ndarray, "m 3"], faces: Int[np.ndarray, "f 3"]
-) -> tuple[
-    Float[np.ndarray, "f 3"], Float[np.ndarray, "f 3 3"], Float[np.ndarray, "m 3"]
-]:
-    """Pseudonormals of the faces, of the three sides of each face, of the vertices."""
-    triangles = vertices[faces]
-    normal = unit(area_vectors(triangles))
-    topology = build_topology(faces, len(vertices))
-    left, right = topology.edge_faces.T
-    # a missing neighbour (the cut-out's end) adds nothing
-    of_edge = np.where(left[:, None] >= 0, normal[left], 0)
-    of_edge = of_edge + np.where(right[:, None] >= 0, normal[right], 0)
-    to_next = unit((triangles[:, [1, 2, 0]] - triangles).reshape(-1, 3))
-    to_last = unit((triangles[:, [2, 0, 1]] - triangles).reshape(-1, 3))
-    angle = np.arctan2(
-        lengths(np.cross(to_next, to_last)), np.einsum("ni,ni->n", to_next, to_last)
-    )
-    weighted = angle[:, None] * np.repeat(normal, 3, axis=0)
-    corner, size = faces.ravel(), len(vertices)
-    columns = [np.bincount(corner, weights=w, minlength=size) for w in weighted.T]
-    return normal, of_edge[topology.face_edges], np.stack(columns, axis=1)
-
-
-def _side_walls(
-    patch: Patch,
-    vertex_normals: Float[np.ndarray, "m 3"],
-    thickness: float,
-    organ: Organ,
-) -> tuple[Float[np.ndarray, "w 3"], Int[np.ndarray, "s 3"]]:
-    """The strip from the rim down to the bottom, two triangles a rim edge."""
-    topology = build_topology(patch.faces, len(patch.vertices))
-    edges = topology.edges[~topology.interior]
-    down = -organ.lumen_sign * unit(vertex_normals[patch.organ_index])
-    bottom = patch.vertices + thickness * down
-    first, second = edges.T
-    below = len(patch.vertices)
-    faces = np.concatenate(
-        [
-            np.stack([first, second, second + below], axis=1),
-            np.stack([first, second + below, first + below], axis=1),
-        ]
-    )
-    return np.concatenate([patch.vertices, bottom]), faces
