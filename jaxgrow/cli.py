@@ -156,6 +156,10 @@ def grow(
     max_divisions: Annotated[
         int, typer.Option(metavar="N", help="Give up after so many.", min=1)
     ] = 3000,
+    max_seconds: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="Stop after so long, between two divisions."),
+    ] = None,
     kinds: Annotated[
         list[_Format] | None,
         typer.Option("--format", help="Also write the organ so; may be repeated."),
@@ -179,6 +183,8 @@ def grow(
 
     if not tolerance > 0:
         raise _Refusal(f"the tolerance is {tolerance:g}, but it must be positive.")
+    if max_seconds is not None and not max_seconds > 0:
+        raise _Refusal(f"--max-seconds is {max_seconds:g}, but it must be positive.")
     wanted = {
         "organ": organ,
         "unit_mm": unit_mm,
@@ -198,6 +204,7 @@ def grow(
             seed=seed,
             tolerance=tolerance,
             max_divisions=max_divisions,
+            max_seconds=max_seconds,
             progress=display,
         )
         formats = [kind.value for kind in kinds or ()]

@@ -7,22 +7,24 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
+from jaxgrow.border import Border, border_of
 from jaxgrow.equilibrium.relax import relax, Relaxation
-from jaxgrow.mesh.fairing import fair, refine
+from jaxgrow.mesh.sheet import Walls
 from jaxgrow.mesh.surface import Surface
 from jaxgrow.organ import (
     cut_patch,
     fill_tissue,
+    line_patch,
     load_organ,
     locate_site,
     Organ,
     Patch,
-    room,
     Site,
     uterus,
+    walls_around,
 )
 from jaxgrow.parameters import Parameters
-from jaxgrow.scene import Myoma, Scene, SceneError
+from jaxgrow.scene import Myoma, Scene
 from jaxgrow.state import FormerSurface, Frame, Species, State
 from jaxgrow.transfer import put_membrane, put_particles, reset_springs
 
@@ -42,11 +44,17 @@ class Ground:
         organ: the whole organ.
         site: where the lesion grows.
         patch: the piece of surface that is simulated.
+        walls: the rest of the organ's surface, as far as the lesion may meet it.
+        radius: of the patch along the surface, in r0.
+        thickness: of the layer of tissue under it, in r0.
     """
 
     organ: Organ
     site: Site
     patch: Patch
+    walls: Walls
+    radius: float
+    thickness: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +66,14 @@ class Planted:
         ground: None for a free cluster.
         organ_index: for each membrane vertex the organ's vertex that it is, or -1.
         outcome: of the relaxation of the tissue; None for a free cluster.
+        border: what is held around the patch; None for a free cluster.
     """
 
     state: State
     ground: Ground | None
     organ_index: Int[np.ndarray, " m"]
     outcome: Relaxation | None
+    border: Border | None
 
 
 def find_organ(scene: Scene) -> Organ | None:
@@ -93,27 +103,12 @@ def plant(
 
     Raises:
         OrganError: the organ or the site cannot be used.
-        SceneError: the lesion does not fit.
     """
     organ = find_organ(scene)
     if organ is None:
         return _plant_free(scene)
     site = locate_site(organ, scene.lesion.site)
-    check_room(scene, organ, site)
     return _plant_in(scene, organ, site, parameters, tolerance, rng)
-
-
-def check_room(scene: Scene, organ: Organ, site: Site) -> None:
-    """Refuse a polyp longer than the lumen is deep at its site."""
-    size = scene.lesion.target_mm
-    if size is None or isinstance(scene.lesion, Myoma):
-        return
-    depth = room(organ, site)
-    if size > depth:
-        raise SceneError(
-            f"a polyp of {size:g} mm cannot fit at {site.name}: the lumen is "
-            f"{depth:.1f} mm deep there; ask for less than that, or for another site."
-        )
 
 
 def _plant_free(scene: Scene) -> Planted:
@@ -125,7 +120,8 @@ def _plant_free(scene: Scene) -> Planted:
     frame = Frame(
         jnp.zeros(3), jnp.array([0.0, 0.0, 1.0]), jnp.asarray(scene.r0_mm), None
     )
-    return Planted(State(particles, None, frame), None, np.zeros(0, int), None)
+    state = State(particles, None, frame)
+    return Planted(state, None, np.zeros(0, int), None, None)
 
 
 def _extent(scene: Scene) -> tuple[float, float]:
@@ -142,10 +138,18 @@ def _extent(scene: Scene) -> tuple[float, float]:
         across = target / scene.r0_mm
     if isinstance(lesion, Myoma):
         radius = across / 2 + 2.5
-        thickness = depth_of(lesion, scene.r0_mm) + across / 2 + 1.5
+        thickness = depth_of(lesion, scene.r0_mm) + across / 2 + 2.0
     else:
         radius, thickness = max(6.5, 0.5 * across), 3.0
     return around.radius or radius, around.thickness or thickness
+
+
+def meeting_distance(scene: Scene, radius: float) -> float:
+    """Distance from the site, in r0, beyond which a lesion meets nothing."""
+    target = scene.lesion.target_mm
+    if target is None:
+        return float("inf")
+    return radius + target / scene.r0_mm + 5.0
 
 
 def depth_of(lesion: Myoma, r0_mm: float) -> float:
@@ -167,13 +171,9 @@ def _plant_in(
     around, r0_mm = scene.surroundings, scene.r0_mm
     radius, thickness = _extent(scene)
     patch = cut_patch(organ, site, radius * r0_mm, r0_mm=r0_mm)
-    surface = Surface(patch.vertices, patch.faces, patch.rim)
-    surface, refined = refine(surface, around.max_area)
-    surface, faired = fair(
-        surface, np.zeros((0, 3)), max_area=around.max_area, min_area=around.min_area
+    surface, organ_index = line_patch(
+        organ, patch, max_area=around.max_area, min_area=around.min_area
     )
-    origin = refined.then(faired).origin()
-    organ_index = np.where(origin >= 0, patch.organ_index[origin], -1)
     tissue = fill_tissue(
         organ,
         patch,
@@ -202,10 +202,12 @@ def _plant_in(
     particles, membrane = outcome.state
     assert particles is not None
     assert membrane is not None
-    membrane = reset_springs(membrane)
     former = FormerSurface(jnp.asarray(patch.vertices), jnp.asarray(patch.faces))
     frame = Frame(
         jnp.asarray(site.point), jnp.asarray(site.normal), jnp.asarray(r0_mm), former
     )
-    state = State(particles, membrane, frame)
-    return Planted(state, Ground(organ, site, patch), organ_index, outcome)
+    border = border_of(outcome, organ_index)
+    walls = walls_around(organ, patch, meeting_distance(scene, radius))
+    ground = Ground(organ, site, patch, walls, radius, thickness)
+    state = State(particles, reset_springs(membrane), frame)
+    return Planted(state, ground, organ_index, outcome, border)

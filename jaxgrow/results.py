@@ -32,6 +32,30 @@ class Result(enum.Enum):
         5,
         "The allowed number of divisions was used up before the lesion had its size.",
     )
+    TIME_LIMIT = (
+        6,
+        "The allowed time was used up before the lesion had its size.",
+    )
+    CAVITY_FULL = (
+        7,
+        "The cavity does not hold a lesion of that size: it has filled the room that "
+        "there is, and further divisions no longer enlarge it.",
+    )
+    EVAPORATED = (
+        8,
+        "The relaxation threw particles out of each other's reach, even with short "
+        "steps; use smaller stiffnesses.",
+    )
+    INTERSECTION = (
+        9,
+        "The surface would have intersected itself or the organ, and no other way to "
+        "its equilibrium was found.",
+    )
+    PATCH_TOO_SMALL = (
+        10,
+        "The border of the simulated patch feels the lesion, and the organ has no more "
+        "surface to enlarge the patch by; ask for a smaller lesion.",
+    )
 
     def __init__(self, code: int, sentence: str) -> None:
         self.code = code

@@ -119,6 +119,9 @@ class Surroundings(_Model):
         density: of tissue particles, per r0³.
         max_area: triangles larger than this (in r0²) are subdivided.
         min_area: triangles smaller than this (in r0²) are collapsed.
+        collisions: whether the surface repels itself and the other parts of the organ:
+            "auto" for as soon as they come near each other, "on" for always, which
+            gives the same equilibria, "off" for never.
     """
 
     radius: Positive | None = None
@@ -126,6 +129,7 @@ class Surroundings(_Model):
     density: Positive = 1.7
     max_area: Positive = 0.7
     min_area: Positive = 0.1
+    collisions: Literal["auto", "on", "off"] = "auto"
 
 
 class Scene(_Model):

@@ -3,21 +3,25 @@
 import inspect
 import warnings
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
+from jaxgrow import adaptation
+from jaxgrow.adaptation import adapt_tissue_and_surface, Laws
 from jaxgrow.audit import audit
 from jaxgrow.equilibrium.relax import stale
-from jaxgrow.grow import adapt_tissue_and_surface, divide_tumour, grow
+from jaxgrow.grow import end_of, grow, STAGNATION
 from jaxgrow.lesion import height_above
 from jaxgrow.mesh.audit import audit_surface
 from jaxgrow.parameters import Parameters, UnstableAdhesionWarning
 from jaxgrow.planting import plant
 from jaxgrow.results import Result
-from jaxgrow.scene import Myoma, Polyp, Scene, SceneError
+from jaxgrow.scene import Myoma, Polyp, Scene
+from jaxgrow.step import divide_tumour
 from jaxgrow.transfer import get, get_particles
 
 
@@ -41,10 +45,12 @@ def clusters(adhesion, tolerance, sizes, seed=0):
     lists, found = None, {}
     for size in range(2, max(sizes) + 1):
         state, _ = divide_tumour(CLUSTER, state, parameters, rng)
-        state, relaxed = adapt_tissue_and_surface(state, parameters, tolerance, lists)
-        lists = stale(relaxed.lists)
-        assert relaxed.result is Result.CONVERGED
-        assert relaxed.stats.residual <= tolerance
+        laws = Laws(parameters, tolerance)
+        nowhere = np.zeros(0, int)
+        adapted = adapt_tissue_and_surface(state, nowhere, laws, lists, colliding=False)
+        state, lists = adapted.state, stale(adapted.relaxation.lists)
+        assert adapted.result is Result.CONVERGED
+        assert adapted.relaxation.stats.residual <= tolerance
         if size in sizes:
             found[size] = get_particles(state.particles)[0]
     return found
@@ -170,18 +176,76 @@ def test_progress_is_told_after_every_division(tiny_cluster):
     assert seen[-1].residual == again.history[-1]["residual"]
 
 
-def test_relaxation_that_fails_ends_the_growth(monkeypatch):
-    import sys
-
-    module = sys.modules["jaxgrow.grow"]
-    real = module.relax
-    monkeypatch.setattr(
-        module, "relax", lambda *a, **k: real(*a, **k, max_steps=1, method="lbfgs")
-    )
+def test_relaxation_that_fails_ends_the_growth_with_the_last_equilibrium(
+    monkeypatch, thirty
+):
+    monkeypatch.setattr(adaptation, "ATTEMPTS", ((0.1, 1), (0.025, 1)))
     ended = free(tolerance=1e-12)
     assert ended.result is Result.STEP_LIMIT
-    assert len(ended.history) < 5
-    assert [*ended.history][-1]["result"] == "STEP_LIMIT"
+    assert len(ended.history) == len(ended.events) + 1 < 5
+    assert ended.history[-1]["result"] == "STEP_LIMIT"
+    assert ended.history[-1]["mended"] == {"retried_after_step_limit": 1}
+    count = int(ended.state.particles.alive.sum())
+    assert count == 1 + len(ended.events)
+
+
+def test_relaxation_that_fails_is_tried_again_with_shorter_steps(monkeypatch, thirty):
+    monkeypatch.setattr(adaptation, "ATTEMPTS", ((0.1, 1), (0.1, 1500)))
+    mended = free()
+    assert mended.result is thirty.result
+    retried = [r["mended"].get("retried_after_step_limit", 0) for r in mended.history]
+    assert sum(retried) > 10
+    # from where the first attempt started, not from where it ended
+    np.testing.assert_array_equal(
+        mended.state.particles.position, thirty.state.particles.position
+    )
+
+
+def test_cluster_that_flies_apart_is_no_equilibrium(monkeypatch):
+    real = adaptation.relax
+
+    def throw(particles, *rest, **more):
+        outcome = real(particles, *rest, **more)
+        far = eqx.tree_at(
+            lambda p: p.position, outcome.state[0], replace_fn=lambda x: 9 * x
+        )
+        return outcome._replace(state=(far, None))
+
+    monkeypatch.setattr(adaptation, "relax", throw)
+    ended = free(divisions=3)
+    assert ended.result is Result.EVAPORATED
+    assert len(ended.events) == 0
+    assert ended.history[-1]["mended"] == {"retried_after_evaporated": 1}
+
+
+def test_time_limit_is_a_result():
+    ended = free(max_seconds=1e-9)
+    assert ended.result is Result.TIME_LIMIT
+    assert len(ended.events) == 0
+    assert np.isfinite(get_particles(ended.state.particles)[0]).all()
+
+
+@pytest.mark.parametrize("seconds", [0.0, -1.0, np.nan])
+def test_time_limit_that_is_not_positive_is_refused(seconds):
+    with pytest.raises(ValueError, match=r"max_seconds is .*; it must be positive"):
+        free(max_seconds=seconds)
+
+
+def records(sizes, colliding=True):
+    return [{"size_mm": size, "colliding": colliding} for size in sizes]
+
+
+def test_cavity_is_full_when_divisions_against_a_wall_no_longer_enlarge():
+    scene = Scene(lesion=Polyp(size_mm=10.0))
+    growing, stuck = [float(x) for x in np.linspace(1, 7, 70)], [7.0] * STAGNATION
+    for sizes, colliding, wanted in (
+        (growing, True, Result.CONVERGED),
+        (growing + stuck, True, Result.CAVITY_FULL),
+        (growing + stuck[1:], True, Result.CONVERGED),
+        (growing + stuck, False, Result.CONVERGED),
+        ([*growing, *stuck, 7.1], True, Result.CONVERGED),
+    ):
+        assert end_of(scene, 7.0, records(sizes, colliding), 3000) is wanted
 
 
 @pytest.mark.parametrize("name", ["merged", "surface", "mesh"])
@@ -295,11 +359,6 @@ def test_number_of_compilations_is_reported(tiny_polyp):
 
 
 # refusals
-
-
-def test_polyp_longer_than_the_lumen_is_refused():
-    with pytest.raises(SceneError, match=r"cannot fit at .*lumen is .* mm deep"):
-        grow(Scene(lesion=Polyp(size_mm=500.0)))
 
 
 def test_tolerance_that_is_not_positive_is_refused():

@@ -1,0 +1,143 @@
+"""Adapt tissues and surface (paper §4), and mend what goes wrong with it.
+
+An equilibrium is accepted if the relaxation converged and did not throw particles out.
+Otherwise it is tried again from where it started, with shorter steps. Where sheets of
+the surface come into each other's range, the energy of their collision joins in, from
+then on in this growth: as long as none do it is zero, and a growth does not pay for it.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Int
+from scipy.spatial import KDTree
+
+from jaxgrow.collisions import CollisionFinder
+from jaxgrow.energy.a2 import CUTOFF
+from jaxgrow.equilibrium.problem import Lists
+from jaxgrow.equilibrium.relax import LARGEST_STEP, relax, Relaxation
+from jaxgrow.mesh.sheet import Walls
+from jaxgrow.parameters import Parameters
+from jaxgrow.results import Result
+from jaxgrow.state import Particles, State
+from jaxgrow.transfer import get
+
+
+ATTEMPTS = ((LARGEST_STEP, 1500), (LARGEST_STEP / 4, 4000))
+"""Longest step (r0) and bound on the steps of each method, attempt after attempt."""
+
+
+@dataclass(frozen=True, eq=False)
+class Laws:
+    """What all equilibria of a growth have in common.
+
+    Attributes:
+        parameters: of the energy.
+        tolerance: largest force left, in F(0).
+        collisions: whether sheets of the surface repel each other: "on", "off", or
+            "auto" for as soon as they meet.
+        walls: the rest of the organ; None without one.
+    """
+
+    parameters: Parameters
+    tolerance: float
+    collisions: str = "auto"
+    walls: Walls | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Adapted:
+    """Outcome of `adapt_tissue_and_surface`.
+
+    Attributes:
+        state: the equilibrium, if the result is CONVERGED.
+        result: CONVERGED, or what the last attempt failed with.
+        relaxation: the last one.
+        colliding: whether the collision energy is part of it.
+        mended: how often what was mended, by name.
+    """
+
+    state: State
+    result: Result
+    relaxation: Relaxation
+    colliding: bool
+    mended: dict[str, int] = field(default_factory=dict)
+
+
+def adapt_tissue_and_surface(
+    state: State,
+    organ_index: Int[np.ndarray, " m"],
+    laws: Laws,
+    lists: Lists | None,
+    *,
+    colliding: bool,
+) -> Adapted:
+    """2. and 3. Adapt tissues and surface: their common equilibrium.
+
+    Args:
+        state: after a division; the springs were reset in it.
+        organ_index: of each vertex alive the organ's vertex that it is, or -1.
+        laws: energy and tolerance.
+        lists: of an earlier relaxation.
+        colliding: whether sheets have met before.
+    """
+    finder = None
+    if state.membrane is not None and laws.collisions != "off":
+        finder = CollisionFinder.of(
+            state.membrane, organ_index, laws.walls, laws.parameters
+        )
+    colliding = finder is not None and (colliding or laws.collisions == "on")
+    mended: dict[str, int] = {}
+    attempts = list(ATTEMPTS)
+    while True:
+        largest, max_steps = attempts.pop(0)
+        relaxation = relax(
+            state.particles,
+            state.membrane,
+            parameters=laws.parameters,
+            tolerance=laws.tolerance,
+            max_steps=max_steps,
+            largest_step=largest,
+            lists=lists,
+            collide=finder if colliding else None,
+        )
+        if relaxation.stats.overflows:
+            count = mended.get("overflows", 0) + relaxation.stats.overflows
+            mended["overflows"] = count
+        lists = relaxation.lists
+        particles, membrane = relaxation.state
+        assert particles is not None
+        result = relaxation.result
+        if result is Result.CONVERGED and _flew_apart(state.particles, particles):
+            result = Result.EVAPORATED
+        converged = result is Result.CONVERGED
+        if converged and finder is not None and not colliding:
+            assert membrane is not None
+            if math.isfinite(finder.gap(get(membrane.vertices))):
+                colliding, attempts = True, list(ATTEMPTS)
+                mended["collisions_joined"] = 1
+                continue
+        if converged or not attempts:
+            adapted = State(particles, membrane, state.frame)
+            return Adapted(adapted, result, relaxation, colliding, mended)
+        name = f"retried_after_{result.name.lower()}"
+        mended[name] = mended.get(name, 0) + 1
+
+
+def _flew_apart(before: Particles, after: Particles) -> bool:
+    """Whether particles that had neighbours lost them all.
+
+    A relaxation with too long steps throws particles out of each other's reach, where
+    no force is left and everything seems to be at rest.
+    """
+    alone = []
+    for particles in (before, after):
+        alive = get(particles.alive)
+        points = get(particles.position)[alive]
+        if len(points) < 2:
+            return False
+        distance, _ = KDTree(points).query(points, k=2)
+        alone.append(int(np.count_nonzero(distance[:, 1] >= CUTOFF)))
+    return alone[1] > alone[0] + 0.02 * int(jnp.sum(after.alive))

@@ -1,0 +1,200 @@
+"""One iteration: what is mended, and what comes back when it cannot be."""
+
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxgrow import step as module
+from jaxgrow.audit import audit
+from jaxgrow.clock import Clock
+from jaxgrow.grow import grow
+from jaxgrow.mesh.surface import Remeshing, Surface
+from jaxgrow.organ import OrganError
+from jaxgrow.parameters import Parameters
+from jaxgrow.planting import plant
+from jaxgrow.results import Result
+from jaxgrow.scene import Myoma, Polyp, Scene, Surroundings
+from jaxgrow.state import Species
+from jaxgrow.step import iterate, Step
+from jaxgrow.transfer import get, get_surface
+
+
+SMALL = Scene(
+    lesion=Polyp(divisions=3, particle_mm=1.5), surroundings=Surroundings(radius=4.0)
+)
+TOLERANCE = 1e-2
+
+
+@pytest.fixture(scope="module")
+def planted():
+    parameters = jax.tree.map(jnp.asarray, Parameters())
+    rng = np.random.default_rng(0)
+    start = plant(SMALL, parameters, tolerance=TOLERANCE, rng=rng)
+    return Step(
+        start.state,
+        start.organ_index,
+        start.outcome.lists,
+        start.ground,
+        border=start.border,
+    )
+
+
+def one(planted):
+    parameters = jax.tree.map(jnp.asarray, Parameters())
+    rng = np.random.default_rng(1)
+    return iterate(SMALL, planted, parameters, TOLERANCE, rng, Clock())
+
+
+@pytest.fixture(scope="module")
+def usual(planted):
+    return one(planted)
+
+
+def test_usual_iteration_needs_no_mending(usual):
+    assert usual.result is Result.CONVERGED
+    assert usual.mended == {}
+    assert usual.felt.place is None
+
+
+def inside_out(surface):
+    """The surface with one vertex pulled through the opposite side of its patch."""
+    vertices = surface.vertices.copy()
+    free = np.flatnonzero(~surface.fixed)
+    far = np.linalg.norm(vertices[free] - vertices[free[0]], axis=1).argmax()
+    vertices[free[0]] = vertices[free[far]] + 0.3
+    return Surface(vertices, surface.faces, surface.fixed, surface.source)
+
+
+def test_fairing_that_would_intersect_is_rejected(planted, usual, monkeypatch):
+    def bad(surface, *rest, **more):
+        return inside_out(surface), Remeshing.unchanged(surface)
+
+    monkeypatch.setattr(module, "fair", bad)
+    found = one(planted)
+    assert found.result is Result.CONVERGED
+    assert found.mended == {"fairing_rejected": 1}
+    before = get_surface(found.adapted.state.membrane)
+    after = get_surface(found.step.state.membrane)
+    np.testing.assert_array_equal(after.vertices, before.vertices)
+    np.testing.assert_array_equal(after.faces, before.faces)
+    # the springs are reset all the same
+    membrane = found.step.state.membrane
+    alive = get(membrane.edge_alive)
+    start, end = get(membrane.vertices)[get(membrane.edges)[alive].T]
+    np.testing.assert_allclose(
+        get(membrane.rest_length)[alive], np.linalg.norm(end - start, axis=1)
+    )
+
+
+def test_fairing_that_would_sweep_over_a_particle_is_rejected(planted, monkeypatch):
+    def bad(surface, particles, **more):
+        free = np.flatnonzero(~surface.fixed)
+        nearest = np.linalg.norm(surface.vertices[free, None] - particles[None], axis=2)
+        index = np.unravel_index(nearest.argmin(), nearest.shape)
+        vertices = surface.vertices.copy()
+        vertices[free[index[0]]] += 1.05 * (
+            particles[index[1]] - vertices[free[index[0]]]
+        )
+        new = Surface(vertices, surface.faces, surface.fixed, surface.source)
+        return new, Remeshing.unchanged(surface)
+
+    monkeypatch.setattr(module, "fair", bad)
+    assert one(planted).mended == {"fairing_rejected": 1}
+
+
+def test_equilibrium_that_intersects_is_no_step(planted, monkeypatch):
+    real = module.adapt_tissue_and_surface
+    seen = []
+
+    def one_pair(*args):
+        return np.zeros((1, 2), int)
+
+    def through_itself(state, *rest, colliding, **more):
+        seen.append(colliding)
+        adapted = real(state, *rest, colliding=colliding, **more)
+        monkeypatch.setattr(module, "_intersections", one_pair)
+        return adapted
+
+    monkeypatch.setattr(module, "adapt_tissue_and_surface", through_itself)
+    found = one(planted)
+    assert found.result is Result.INTERSECTION
+    assert found.step is planted
+    # it was tried again with the energy of collisions
+    assert seen == [False, True]
+
+
+def test_collisions_join_as_soon_as_sheets_come_near(planted, usual, monkeypatch):
+    from jaxgrow import adaptation
+
+    def near(*args):
+        return 0.1
+
+    monkeypatch.setattr(adaptation.CollisionFinder, "gap", near)
+    found = one(planted)
+    assert found.result is Result.CONVERGED
+    assert found.mended == {"collisions_joined": 1}
+    assert found.step.colliding
+    # there was nothing to collide with: the same equilibrium
+    np.testing.assert_allclose(
+        get(found.step.state.particles.position),
+        get(usual.step.state.particles.position),
+        atol=0.2,
+    )
+
+
+NARROW = Scene(
+    lesion=Myoma(divisions=4, depth_mm=1.5, site="posterior", particle_mm=1.5),
+    surroundings=Surroundings(radius=3.5, thickness=3.2),
+)
+
+
+@pytest.fixture(scope="module")
+def enlarged():
+    return grow(NARROW, tolerance=TOLERANCE)
+
+
+def test_patch_that_feels_the_lesion_is_enlarged(enlarged):
+    assert enlarged.result is Result.REACHED
+    widened = [r for r in enlarged.history if r["mended"].get("patch_enlarged")]
+    assert widened
+    after = enlarged.history[widened[0]["division"] :]
+    assert all(r["particles"] > widened[0]["particles"] for r in after)
+    ground = enlarged.ground
+    assert (ground.radius, ground.thickness) > (3.5, 3.2)
+    assert audit(enlarged).clean
+
+
+def test_tumour_is_never_held_after_an_enlargement(enlarged):
+    particles = enlarged.state.particles
+    tumour = get(particles.alive) & (get(particles.species) == Species.TUMOUR)
+    assert tumour.sum() == 5
+    assert not get(particles.held)[tumour].any()
+
+
+def test_patch_that_cannot_be_enlarged_ends_the_growth(monkeypatch, enlarged):
+    def nothing_left(*args, **more):
+        raise OrganError("the organ has no more surface.")
+
+    monkeypatch.setattr(module, "enlarge_ground", nothing_left)
+    ended = grow(NARROW, tolerance=TOLERANCE)
+    assert ended.result is Result.PATCH_TOO_SMALL
+    assert audit(ended).clean
+
+
+def test_growth_without_collisions_never_looks_for_them(monkeypatch, planted):
+    off = Scene(
+        lesion=SMALL.lesion, surroundings=Surroundings(radius=4.0, collisions="off")
+    )
+
+    def never(*args, **more):
+        raise AssertionError
+
+    monkeypatch.setattr(sys.modules["jaxgrow.adaptation"].CollisionFinder, "of", never)
+    parameters = jax.tree.map(jnp.asarray, Parameters())
+    found = iterate(
+        off, planted, parameters, TOLERANCE, np.random.default_rng(1), Clock()
+    )
+    assert found.result is Result.CONVERGED
