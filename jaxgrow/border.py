@@ -2,7 +2,8 @@
 
 A patch is large enough if what holds it does not feel the lesion: if the forces on the
 rim and on the held tissue are about those before growth, when tissue and pretension
-alone act there, and if no tumour particle lies against them.
+alone act there, if no tumour particle lies against them, and if no particle has left
+the room under the patch: the rest of the organ's surface holds nothing back.
 """
 
 from dataclasses import dataclass
@@ -13,16 +14,23 @@ from jaxtyping import Array, Float, Int
 from scipy.spatial import KDTree
 
 from jaxgrow.equilibrium.relax import Relaxation
+from jaxgrow.mesh.proximity import nearest_on_mesh
+from jaxgrow.mesh.quality import area_vectors
+from jaxgrow.mesh.sheet import Walls
+from jaxgrow.mesh.surface import Surface
 from jaxgrow.state import Particles, Species
 from jaxgrow.transfer import get
 
 
 FELT = 0.3
-"""Change of a force on the border, in F(0), above which a patch is too small.
+"""Change of the force on a held particle, in F(0), above which a patch is too small.
 
-Rearrangements in random tissue change the forces on its held particles by 0.1 to 0.17
-in every growth.
+Rearrangements in random tissue change such forces by 0.1 to 0.17 in every growth.
+Under a stiff membrane they are larger from the beginning; there the bound is
+`SHARE` of the largest before growth.
 """
+
+SHARE = 0.5
 
 AGAINST = 0.85
 """Distance of a tumour particle to what is held, in r0, below which it presses on it:
@@ -49,14 +57,30 @@ class Feeling(NamedTuple):
     """How a border feels the lesion.
 
     Attributes:
-        force: largest change of a force since before growth, in F(0).
+        force: largest change of the force on a held particle since before growth, in
+            F(0).
         distance: of the nearest tumour particle, in r0; infinite without any.
         place: where, in r0, if the border feels it; else None.
+        crossed: free particles that are outside the organ, having left it beside the
+            patch, where no membrane is.
     """
 
     force: float
     distance: float
     place: Float[np.ndarray, "3"] | None
+    crossed: int = 0
+
+
+class Beside(NamedTuple):
+    """Free particles that have left the room under a patch.
+
+    Attributes:
+        position: of those that are under the rest of the organ's surface, in r0.
+        crossed: how many of them are on its wrong side.
+    """
+
+    position: Float[np.ndarray, "b 3"]
+    crossed: int = 0
 
 
 def border_of(relaxation: Relaxation, organ_index: Int[np.ndarray, " m"]) -> Border:
@@ -88,15 +112,20 @@ def border_of(relaxation: Relaxation, organ_index: Int[np.ndarray, " m"]) -> Bor
     )
 
 
-def feeling(border: Border, before: Border, particles: Particles) -> Feeling:
+def feeling(
+    border: Border, before: Border, particles: Particles, beside: Beside
+) -> Feeling:
     """Whether a border feels the lesion.
 
     Args:
         border: now.
         before: the same border before growth.
         particles: now.
+        beside: free particles that are beside the patch.
     """
     change = np.linalg.norm(border.force - before.force, axis=1)
+    change[border.names >= 0] = 0.0  # the pull of the springs changes with every reset
+    bound = np.linalg.norm(before.force[border.names < 0], axis=1).max(initial=0.0)
     position, alive = get(particles.position), get(particles.alive)
     tumour = position[alive & (get(particles.species) == Species.TUMOUR)]
     distance = np.full(len(change), np.inf)
@@ -104,8 +133,46 @@ def feeling(border: Border, before: Border, particles: Particles) -> Feeling:
         distance, _ = KDTree(tumour).query(border.position)
     force, nearest = float(change.max()), float(distance.min())
     place = None
-    if force > FELT:
+    if len(beside.position):
+        place = beside.position[0]
+    elif force > max(FELT, SHARE * bound):
         place = border.position[change.argmax()]
     elif nearest < AGAINST:
         place = border.position[distance.argmin()]
-    return Feeling(force, nearest, place)
+    return Feeling(force, nearest, place, beside.crossed)
+
+
+def beside_patch(
+    particles: Particles, surface: Surface, walls: Walls, reach: float
+) -> Beside:
+    """Free particles whose nearest surface is a wall, within a distance of it.
+
+    What lies under the membrane has the membrane nearer than any wall behind it.
+
+    Args:
+        particles: of the patch.
+        surface: its live membrane.
+        walls: the rest of the organ.
+        reach: distance in r0 at which a particle would touch a membrane.
+    """
+    nothing = Beside(np.zeros((0, 3)))
+    points = get(particles.position)[get(particles.free)]
+    chosen = walls.near(points, reach)
+    if not len(chosen):
+        return nothing
+    faces = walls.faces[chosen]
+    corners = walls.vertices[faces]
+    centre = corners.mean(axis=1)
+    radius = np.linalg.norm(corners - centre[:, None], axis=2).max()
+    near, _ = KDTree(centre).query(points)
+    points = points[near < radius + reach]
+    if not len(points):
+        return nothing
+    to_wall, face, foot = nearest_on_mesh(points, walls.vertices, faces)
+    to_membrane, _, _ = nearest_on_mesh(points, surface.vertices, surface.faces)
+    out = (to_wall < reach) & (to_wall < to_membrane)
+    normal = area_vectors(walls.vertices[faces[face]])
+    above = np.einsum("ni,ni->n", points - foot, normal) >= 0
+    # the foremost ones first
+    order = np.argsort(to_wall[out], kind="stable")
+    return Beside(points[out][order], int(np.count_nonzero(out & above)))

@@ -218,6 +218,8 @@ def _conclude(
     """Tell the outcome, and exit with 1 if it is not what was asked for."""
     from jaxgrow.run_folder import describe
 
+    if growth.mended.get("patch_enlarged"):
+        _say(f"the patch was enlarged {growth.mended['patch_enlarged']} times.")
     if not growth.result.success:
         reason = growth.result.sentence
         _say(f"{out} holds only a {describe(growth)}: {_lowered(reason)}")

@@ -17,10 +17,11 @@ from jaxgrow.state import Membrane
 from jaxgrow.transfer import get, get_surface
 
 
-SKIN = 0.4
-"""Extra distance, in r0, up to which pairs are listed."""
+SKIN = 0.25
+"""Extra distance, in r0, up to which pairs are listed; with 0.4 they are four times as
+many."""
 
-LEAST_PAIRS = 2048
+LEAST_PAIRS = 512
 """Capacity of the lists to begin with."""
 
 CAUTION = 0.5

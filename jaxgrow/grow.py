@@ -5,6 +5,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from jaxgrow.clock import Clock
 from jaxgrow.compilations import count_compilations
@@ -19,8 +20,15 @@ from jaxgrow.step import enlarge_patch, iterate, Iteration, Step
 from jaxgrow.transfer import get
 
 
+ENLARGEMENTS = 5
+"""How often the patch follows a force on its border, or a tumour that comes near it."""
+
 STAGNATION = 60
-"""Divisions without enlargement, against a wall, after which a cavity is full."""
+"""Divisions against a wall (or a quarter of all) that must enlarge the lesion, or its
+cavity is full; half as many if no equilibrium is found any more."""
+
+ENLARGING = 1.02
+"""Factor of its diameter that counts as an enlargement."""
 
 
 def grow(
@@ -84,7 +92,7 @@ def grow(
         history: list[dict[str, Any]] = []
         size = size_of(scene, step.state) * scene.r0_mm
         while result is Result.CONVERGED:
-            result = end_of(scene, size, history, max_divisions)
+            result = end_of(scene, size, len(events), history, max_divisions)
             if result is not Result.CONVERGED:
                 break
             if max_seconds is not None and clock.elapsed > max_seconds:
@@ -92,16 +100,21 @@ def grow(
                 break
             made = iterate(scene, step, parameters, tolerance, rng, clock)
             step, result = made.step, made.result
+            number = len(events) + 1
             if result is Result.CONVERGED:
                 events.append(made.event)
                 with clock.phase("measure"):
                     size = size_of(scene, step.state) * scene.r0_mm
-            record = _record(len(history) + 1, size, made, clock)
-            if made.felt is not None and made.felt.place is not None:
+            elif result is Result.STEP_LIMIT and _stagnates(history, STAGNATION // 2):
+                result = Result.CAVITY_FULL
+            record = _record(number, size, made, clock)
+            place = _tight_place(made, history)
+            if place is not None:
                 with clock.phase("enlarge"):
                     wider = enlarge_patch(
-                        scene, step, parameters, tolerance, rng, made.felt.place
+                        scene, step, parameters, tolerance, rng, place
                     )
+                result = Result.CONVERGED
                 if isinstance(wider, Result):
                     result = wider
                 else:
@@ -126,12 +139,30 @@ def grow(
     )
 
 
+def _tight_place(
+    made: Iteration, history: list[dict[str, Any]]
+) -> Float[np.ndarray, "3"] | None:
+    """Where the patch is to be enlarged before the next iteration, in r0, if it is.
+
+    If a particle left it, there is no other way. A border that feels the lesion is
+    followed a few times; what then is felt still is a stiff surface or a dense tissue.
+    """
+    if made.felt is None or made.felt.place is None:
+        return None
+    enlarged = sum("patch_enlarged" in record["mended"] for record in history)
+    follow = made.felt.crossed > 0 or enlarged < ENLARGEMENTS
+    return made.felt.place if follow else None
+
+
 def end_of(
-    scene: Scene, size: float, history: list[dict[str, Any]], max_divisions: int
+    scene: Scene,
+    size: float,
+    divisions: int,
+    history: list[dict[str, Any]],
+    max_divisions: int,
 ) -> Result:
     """Why growth ends here; CONVERGED if it goes on."""
     target = scene.lesion.target_mm
-    divisions = len(history)
     if target is None:
         if divisions >= (scene.lesion.divisions or 0):
             return Result.REACHED
@@ -139,13 +170,23 @@ def end_of(
         return Result.REACHED
     if divisions >= max_divisions:
         return Result.DIVISION_LIMIT
-    if target is not None and divisions > STAGNATION:
-        recent = history[-STAGNATION:]
-        before = max(record["size_mm"] for record in history[:-STAGNATION])
-        stuck = max(record["size_mm"] for record in recent) <= 1.005 * before
-        if stuck and all(record.get("colliding") for record in recent):
-            return Result.CAVITY_FULL
+    window = max(STAGNATION, len(history) // 4)
+    if target is not None and _stagnates(history, window):
+        return Result.CAVITY_FULL
     return Result.CONVERGED
+
+
+def _stagnates(history: list[dict[str, Any]], window: int) -> bool:
+    """Whether so many divisions, all against a wall, hardly enlarged the lesion.
+
+    A quarter more particles enlarge a free lesion by 7 % in diameter at least.
+    """
+    if len(history) <= window:
+        return False
+    recent = history[-window:]
+    before = max(record["size_mm"] for record in history[:-window])
+    stuck = max(record["size_mm"] for record in recent) <= ENLARGING * before
+    return stuck and all(record.get("colliding") for record in recent)
 
 
 def _record(

@@ -1,5 +1,6 @@
 """What a growth returns: state, result, history, and the organ's mesh with it."""
 
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TYPE_CHECKING
 
@@ -86,6 +87,19 @@ class Growth:
     organ_index: Int[np.ndarray, " m"] = field(
         default_factory=lambda: np.zeros(0, dtype=np.int64)
     )
+
+    @property
+    def mended(self) -> dict[str, int]:
+        """What went wrong on the way and was mended, how often.
+
+        "overflows" of lists that were made larger, "retried_after_…" of relaxations
+        that were rolled back, "fairing_rejected", "patch_enlarged", and
+        "collisions_joined" when sheets of the surface first met.
+        """
+        total: Counter[str] = Counter()
+        for record in self.history:
+            total.update(record["mended"])
+        return dict(total)
 
     @property
     def organ(self) -> Organ | None:

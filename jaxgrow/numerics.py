@@ -1,6 +1,7 @@
 """Guards for the few points where a formula of the model is singular."""
 
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float
 
 
@@ -27,3 +28,12 @@ def safe_norm(vector: Float[Array, "*shape 3"]) -> Float[Array, "*shape"]:
     square = jnp.sum(vector**2, axis=-1)
     some = square != 0
     return jnp.where(some, jnp.sqrt(jnp.where(some, square, 1)), 0)
+
+
+def smallest_distance(dtype: DTypeLike) -> float:
+    """Distance that stands for 0 where a power or a logarithm of it is taken.
+
+    Small enough that a barrier still repels at any distance that coordinates can
+    resolve, and large enough that the square of its force does not overflow.
+    """
+    return 1e-30 if jnp.finfo(dtype).bits > 32 else 1e-12

@@ -9,6 +9,7 @@ from jaxtyping import Int
 
 from jaxgrow.border import Border, border_of
 from jaxgrow.equilibrium.relax import relax, Relaxation
+from jaxgrow.lesion import height_above, RAISED
 from jaxgrow.mesh.sheet import Walls
 from jaxgrow.mesh.surface import Surface
 from jaxgrow.organ import (
@@ -24,9 +25,15 @@ from jaxgrow.organ import (
     walls_around,
 )
 from jaxgrow.parameters import Parameters
-from jaxgrow.scene import Myoma, Scene
-from jaxgrow.state import FormerSurface, Frame, Species, State
-from jaxgrow.transfer import put_membrane, put_particles, reset_springs
+from jaxgrow.scene import Myoma, Scene, SceneError
+from jaxgrow.state import FormerSurface, Frame, Membrane, Species, State
+from jaxgrow.transfer import (
+    get,
+    get_surface,
+    put_membrane,
+    put_particles,
+    reset_springs,
+)
 
 
 HOLD = 1.0
@@ -103,6 +110,7 @@ def plant(
 
     Raises:
         OrganError: the organ or the site cannot be used.
+        SceneError: the tissue lifts the surface by itself.
     """
     organ = find_organ(scene)
     if organ is None:
@@ -142,6 +150,27 @@ def _extent(scene: Scene) -> tuple[float, float]:
     else:
         radius, thickness = max(6.5, 0.5 * across), 3.0
     return around.radius or radius, around.thickness or thickness
+
+
+def _rounded(count: int) -> int:
+    """A capacity that other seeds have too, so that they use the same programs."""
+    return -(-count // SPARE) * SPARE
+
+
+def check_lift(membrane: Membrane, former: FormerSurface, density: float) -> None:
+    """Refuse tissue that lifts the surface before anything has grown.
+
+    Raises:
+        SceneError: a lesion's size would be that of the lift.
+    """
+    surface = get_surface(membrane)
+    height = height_above(surface.vertices, get(former.vertices), get(former.faces))
+    if height.max() > RAISED:
+        raise SceneError(
+            f"tissue of density {density:g} per r0³ lifts the surface by "
+            f"{height.max():.2g} r0 before anything grows; ask for less, or leave it "
+            "to the default of 1.7."
+        )
 
 
 def meeting_distance(scene: Scene, radius: float) -> float:
@@ -194,7 +223,7 @@ def _plant_in(
         inner = np.flatnonzero(~surface.fixed)
         source = inner[np.linalg.norm(surface.vertices[inner], axis=1).argmin()]
         surface = Surface(surface.vertices, surface.faces, surface.fixed, int(source))
-    capacity = len(species) + (scene.lesion.divisions or SPARE)
+    capacity = _rounded(len(species) + (scene.lesion.divisions or SPARE))
     particles = put_particles(tissue.points, species, tissue.held, capacity)
     outcome = relax(
         particles, put_membrane(surface), parameters=parameters, tolerance=tolerance
@@ -206,6 +235,7 @@ def _plant_in(
     frame = Frame(
         jnp.asarray(site.point), jnp.asarray(site.normal), jnp.asarray(r0_mm), former
     )
+    check_lift(membrane, former, around.density)
     border = border_of(outcome, organ_index)
     walls = walls_around(organ, patch, meeting_distance(scene, radius))
     ground = Ground(organ, site, patch, walls, radius, thickness)

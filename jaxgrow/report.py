@@ -65,6 +65,7 @@ def make_report(
         "success": growth.result.success,
         "divisions": len(growth.events),
         "size_mm": growth.size_mm,
+        "mended": growth.mended,
         "metrics": named(shape_metrics(growth.state)),
     }
     counts = {

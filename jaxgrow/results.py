@@ -56,6 +56,11 @@ class Result(enum.Enum):
         "The border of the simulated patch feels the lesion, and the organ has no more "
         "surface to enlarge the patch by; ask for a smaller lesion.",
     )
+    ON_MEMBRANE = (
+        11,
+        "A particle lies exactly on the membrane, or two sheets of it touch, so there "
+        "is no side for it to be on; move them apart.",
+    )
 
     def __init__(self, code: int, sentence: str) -> None:
         self.code = code

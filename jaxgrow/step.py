@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxgrow.adaptation import adapt_tissue_and_surface, Adapted, Laws
-from jaxgrow.border import Border, border_of, Feeling, feeling
+from jaxgrow.border import beside_patch, Border, border_of, Feeling, feeling
 from jaxgrow.clock import Clock
 from jaxgrow.division import choose_myoma, divide_myoma, divide_polyp, Division
 from jaxgrow.enlargement import enlarge_ground
@@ -132,7 +132,15 @@ def iterate(
         mended["fairing_rejected"] = 1
     assert step.border is not None
     border = border_of(adapted.relaxation, step.organ_index)
-    felt = feeling(border, step.border, adapted.state.particles)
+    assert step.walls is not None
+    particles, membrane = adapted.state.particles, adapted.state.membrane
+    assert membrane is not None
+    reach = float(get(jnp.asarray(parameters.contact_range)))
+    beside = beside_patch(particles, get_surface(membrane), step.walls, reach)
+    felt = feeling(border, step.border, particles, beside)
+    if felt.crossed:
+        event = Event(division, None)
+        return Iteration(step, event, adapted, Result.PATCH_TOO_SMALL, felt, mended)
     after = replace(
         step,
         state=surface_state,

@@ -4,7 +4,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrow.border import AGAINST, Border, feeling, FELT
+from jaxgrow.border import (
+    AGAINST,
+    Beside,
+    beside_patch,
+    Border,
+    feeling,
+    FELT,
+    SHARE,
+)
+from jaxgrow.mesh.sheet import Walls
+from jaxgrow.mesh.surface import Surface
 from jaxgrow.state import Species
 from jaxgrow.transfer import put_particles
 
@@ -17,6 +27,13 @@ def border(force=None):
     return Border(np.array([7, 9, -1]), PLACES, force)
 
 
+NOBODY = Beside(np.zeros((0, 3)))
+
+
+def felt(now, before, particles, beside=NOBODY):
+    return feeling(now, before, particles, beside)
+
+
 def tumour_at(*points):
     points = np.reshape(np.asarray(points, float), (-1, 3))
     tissue = np.array([[0.0, 5.1, 0.0]])
@@ -26,39 +43,80 @@ def tumour_at(*points):
 
 
 def test_border_that_nothing_touches_feels_nothing():
-    found = feeling(border(), border(), tumour_at([0.0, 0.0, 0.0]))
+    found = felt(border(), border(), tumour_at([0.0, 0.0, 0.0]))
     assert found.place is None
     assert found.force == 0
     assert found.distance == pytest.approx(3.0)
 
 
 def test_healthy_tissue_does_not_count():
-    found = feeling(border(), border(), tumour_at())
+    found = felt(border(), border(), tumour_at())
     assert found.place is None
     assert found.distance == np.inf
 
 
 def test_tumour_that_presses_on_the_border_is_felt_where_it_does():
     point = PLACES[1] + [0.0, -0.99 * AGAINST, 0.0]
-    found = feeling(border(), border(), tumour_at(point))
+    found = felt(border(), border(), tumour_at(point))
     np.testing.assert_array_equal(found.place, PLACES[1])
     point = PLACES[1] + [0.0, -1.01 * AGAINST, 0.0]
-    assert feeling(border(), border(), tumour_at(point)).place is None
+    assert felt(border(), border(), tumour_at(point)).place is None
 
 
-@pytest.mark.parametrize("factor, felt", [(0.99, False), (1.01, True)])
-def test_force_that_changed_is_felt_above_a_bound(factor, felt):
-    before = np.array([[1.0, 0, 0], [0, 2.0, 0], [0, 0, 3.0]])
-    now = before.copy()
-    now[2, 0] = factor * FELT
-    found = feeling(border(now), border(before), tumour_at([0.0, 0.0, 0.0]))
-    assert found.force == pytest.approx(factor * FELT)
-    assert (found.place is not None) == felt
-    if felt:
+@pytest.mark.parametrize("factor, feels", [(0.99, False), (1.01, True)])
+@pytest.mark.parametrize("before", [0.1, 4.0])
+def test_force_on_held_tissue_is_felt_above_a_bound(factor, feels, before):
+    start = np.array([[1.0, 0, 0], [0, 2.0, 0], [0, 0, before]])
+    now = start.copy()
+    now[2, 0] = factor * max(FELT, SHARE * before)
+    found = felt(border(now), border(start), tumour_at([0.0, 0.0, 0.0]))
+    assert found.force == pytest.approx(now[2, 0])
+    assert (found.place is not None) == feels
+    if feels:
         np.testing.assert_array_equal(found.place, PLACES[2])
+
+
+def test_pull_of_the_springs_on_the_rim_does_not_count():
+    now = np.array([[9.0, 0, 0], [0, 9.0, 0], [0, 0, 0]])
+    assert felt(border(now), border(), tumour_at([0.0, 0.0, 0.0])).place is None
+
+
+def patch_with_a_wall():
+    """A square of membrane beside a square of wall, in one plane, lumen above."""
+    square = np.array([[0.0, 0, 0], [4, 0, 0], [4, 4, 0], [0, 4, 0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    surface = Surface(square, faces, np.ones(4, bool))
+    return surface, Walls(square + np.array([4.0, 0, 0]), faces, np.arange(4))
+
+
+@pytest.mark.parametrize(
+    "point, beside, crossed",
+    [
+        ([2.0, 2.0, -0.3], 0, 0),  # under the membrane
+        ([5.0, 2.0, -0.3], 1, 0),  # under the wall
+        ([5.0, 2.0, 0.3], 1, 1),  # through the wall
+        ([5.0, 2.0, -0.9], 0, 0),  # deep under it
+        ([3.5, 2.0, -0.6], 0, 0),  # nearer to the membrane
+    ],
+)
+def test_particles_that_leave_the_patch_are_noticed(point, beside, crossed):
+    found = beside_patch(tumour_at(point), *patch_with_a_wall(), 0.7)
+    assert len(found.position) == beside
+    assert found.crossed == crossed
+    feels = felt(border(), border(), tumour_at([0.0, 0.0, 0.0]), found)
+    assert feels.crossed == crossed
+    assert (feels.place is not None) == bool(beside)
+
+
+def test_lesion_against_the_opposite_wall_has_not_left_its_patch():
+    surface, _ = patch_with_a_wall()
+    below = np.array([[0.0, 0, 0.2], [4, 0, 0.2], [4, 4, 0.2], [0, 4, 0.2]])
+    opposite = Walls(below, np.array([[0, 2, 1], [0, 3, 2]]), np.arange(4))
+    found = beside_patch(tumour_at([2.0, 2.0, -0.3]), surface, opposite, 0.7)
+    assert len(found.position) == 0
 
 
 def test_padding_is_not_felt():
     particles = tumour_at([0.0, 0.0, 0.0])
     assert not bool(jnp.all(particles.alive))
-    assert feeling(border(), border(), particles).distance == pytest.approx(3.0)
+    assert felt(border(), border(), particles).distance == pytest.approx(3.0)

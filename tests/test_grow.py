@@ -235,17 +235,24 @@ def records(sizes, colliding=True):
     return [{"size_mm": size, "colliding": colliding} for size in sizes]
 
 
-def test_cavity_is_full_when_divisions_against_a_wall_no_longer_enlarge():
+def test_cavity_is_full_when_divisions_against_a_wall_hardly_enlarge():
     scene = Scene(lesion=Polyp(size_mm=10.0))
-    growing, stuck = [float(x) for x in np.linspace(1, 7, 70)], [7.0] * STAGNATION
+    growing, stuck = [float(x) for x in np.linspace(1, 7, 70)], [7.1] * STAGNATION
     for sizes, colliding, wanted in (
         (growing, True, Result.CONVERGED),
         (growing + stuck, True, Result.CAVITY_FULL),
         (growing + stuck[1:], True, Result.CONVERGED),
         (growing + stuck, False, Result.CONVERGED),
-        ([*growing, *stuck, 7.1], True, Result.CONVERGED),
+        ([*growing, *stuck, 7.3], True, Result.CONVERGED),
     ):
-        assert end_of(scene, 7.0, records(sizes, colliding), 3000) is wanted
+        past = records(sizes, colliding)
+        assert end_of(scene, 7.0, len(past), past, 3000) is wanted
+
+
+def test_divisions_asked_for_are_not_a_size():
+    scene = Scene(lesion=Polyp(divisions=500))
+    past = records([7.0] * 200)
+    assert end_of(scene, 7.0, len(past), past, 3000) is Result.CONVERGED
 
 
 @pytest.mark.parametrize("name", ["merged", "surface", "mesh"])

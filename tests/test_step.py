@@ -15,6 +15,7 @@ from jaxgrow.mesh.surface import Remeshing, Surface
 from jaxgrow.organ import OrganError
 from jaxgrow.parameters import Parameters
 from jaxgrow.planting import plant
+from jaxgrow.report import make_report
 from jaxgrow.results import Result
 from jaxgrow.scene import Myoma, Polyp, Scene, Surroundings
 from jaxgrow.state import Species
@@ -165,6 +166,13 @@ def test_patch_that_feels_the_lesion_is_enlarged(enlarged):
     ground = enlarged.ground
     assert (ground.radius, ground.thickness) > (3.5, 3.2)
     assert audit(enlarged).clean
+
+
+def test_what_was_mended_is_counted_and_reported(enlarged):
+    count = sum(r["mended"].get("patch_enlarged", 0) for r in enlarged.history)
+    assert count > 0
+    assert enlarged.mended["patch_enlarged"] == count
+    assert make_report(enlarged, None)["outcome"]["mended"] == enlarged.mended
 
 
 def test_tumour_is_never_held_after_an_enlargement(enlarged):

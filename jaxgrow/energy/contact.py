@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxgrow.energy.a2 import A2, CUTOFF
 from jaxgrow.energy.distance import point_triangle_distance
 from jaxgrow.energy.smooth_minimum import smooth_minimum
-from jaxgrow.numerics import safe_norm
+from jaxgrow.numerics import safe_norm, smallest_distance
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Membrane, Particles
 from jaxgrow.types import Scalar
@@ -153,7 +153,7 @@ def barrier(
         margin: where it sets in, û; in the same unit, 0 for none.
     """
     inside = u < margin
-    safe = jnp.where(inside, jnp.maximum(u, 1e-12), 1)
+    safe = jnp.where(inside, jnp.maximum(u, smallest_distance(u.dtype)), 1)
     edge = jnp.where(inside, margin, 1)
     return jnp.where(inside, -((safe - edge) ** 2) * jnp.log(safe / edge), 0)
 

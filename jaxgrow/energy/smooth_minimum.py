@@ -23,6 +23,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxgrow.numerics import smallest_distance
 from jaxgrow.types import Scalar
 
 
@@ -52,10 +53,11 @@ def smooth_minimum(
     half = sharpness / 2
     nearest = jax.ops.segment_min(u, owner, count, indices_are_sorted=True)
     # the formula is homogeneous: measured in the nearest distance nothing overflows
-    unit = jax.lax.stop_gradient(jnp.clip(nearest, 1e-9, reach))
+    least = smallest_distance(u.dtype)
+    unit = jax.lax.stop_gradient(jnp.clip(nearest, least, reach))
     unit_of_pair = unit[owner]
     far = (unit / reach) ** half
-    positive = jnp.maximum(u, 1e-9)
+    positive = jnp.maximum(u, least)
     excess = (unit_of_pair / positive) ** half - far[owner]
     square = jnp.where(real, jnp.maximum(excess, 0) ** 2, 0)
     total = jax.ops.segment_sum(square, owner, count, indices_are_sorted=True)

@@ -102,8 +102,9 @@ def descend(
 ) -> Descent:
     """Move the free nodes until the largest force is at most `tolerance`.
 
-    Stops early, with the last valid positions, when a list no longer fits or a force
-    is not finite, and when the host has to list the collisions anew.
+    Stops early, with the last valid positions, when a list no longer fits, a force is
+    not finite, or a node has no clearance at all, and when the host has to list the
+    collisions anew.
 
     Args:
         problem: the energy, and the start.
@@ -143,11 +144,13 @@ def descend(
         uphill = jnp.sum(step * before) <= 0
         step = jnp.where(uphill, 0.05 * before, step)
         limit = _rows(problem.bound(now.nodes, now.lists, largest))
+        stuck = jnp.any((limit == 0) & (free[:, 0] > 0))
         step = _bounded(step, limit, largest)
         nodes = jax.tree.map(jnp.add, now.nodes, _like(step, now.nodes))
         lists = problem.update(nodes, now.lists)
         force = problem.forces(nodes, lists)
         residual, code = measure(force, lists)
+        code = jnp.where(stuck, Result.ON_MEMBRANE.code, code)
         memory = minimiser.learn(memory, step, before, free * _rows(force))
         failed = (code == Result.OVERFLOW.code) | (code == Result.NON_FINITE.code)
 

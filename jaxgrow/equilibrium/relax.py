@@ -90,6 +90,29 @@ def _refresh(problem: Problem, lists: Lists) -> Lists:
     return problem.update(problem.nodes(), lists)
 
 
+@eqx.filter_jit
+def _set_apart(particles: Particles) -> Particles:
+    """Move living particles that lie on each other's very point apart by a hair.
+
+    At distance 0 a pair's force has no direction, and so seems to be at rest at the
+    maximum of its energy. All but one of a group are moved, by some roundings of their
+    coordinates, each in a direction of its own.
+    """
+    position = particles.position
+    order = jnp.lexsort(position.T)
+    there, alive = position[order], particles.alive[order]
+    same = jnp.all(there[1:] == there[:-1], axis=1) & alive[1:] & alive[:-1]
+    again = jnp.zeros(len(order), bool).at[order[1:]].set(same)
+    index = jnp.arange(len(order)).astype(position.dtype)
+    turn, height = 2.399963 * index, 1 - 2 * ((0.618034 * index + 0.5) % 1)  # a spiral
+    flat = jnp.sqrt(jnp.maximum(1 - height**2, 0))
+    way = jnp.stack([flat * jnp.cos(turn), flat * jnp.sin(turn), height], axis=1)
+    size = jnp.maximum(1, jnp.max(jnp.abs(position), axis=1, keepdims=True))
+    hair = 1024 * jnp.finfo(position.dtype).eps * size * way
+    moved = jnp.where((again & particles.free)[:, None], position + hair, position)
+    return eqx.tree_at(lambda p: p.position, particles, moved)
+
+
 def allocate_lists(problem: Problem, before: Lists | None = None) -> Lists:
     """Lists with room for the current state, and not smaller than before."""
     neighbors = contacts = None
@@ -157,6 +180,8 @@ def relax(
     membrane has no linear stiffness out of its plane, and those dead loads throw it
     far beyond the reach of the particles.)
 
+    Particles at the very same point are set apart by a hair first.
+
     No node moves farther in one step than 0.4 of its distance to what it must not
     cross, so particles stay on their side of the membrane throughout.
 
@@ -193,6 +218,8 @@ def relax(
             f"largest_step is {largest_step}; it must be positive and at most "
             f"{LARGEST_STEP}, or nodes could pass each other within a step."
         )
+    if particles is not None:
+        particles = _set_apart(particles)
     problem = _problem(particles, membrane, parameters, load)
     given = problem.parameters
     # the stiffest pairs bound the stable time step: 2 / √λ, and λ grows with s
