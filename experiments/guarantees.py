@@ -36,6 +36,7 @@ from jaxgrow.mesh.intersection import intersecting_pairs
 from jaxgrow.mesh.surface import Surface
 from jaxgrow.mesh.topology import build_topology
 from jaxgrow.mesh.winding import winding_number
+from jaxgrow.organ import locate_site
 from jaxgrow.transfer import get
 
 
@@ -135,7 +136,7 @@ def audited(name: str, seed: int) -> dict[str, Any]:
     """Grow once, with an audit after every accepted step."""
     jax.config.update("jax_enable_x64", True)
     lesion = LESIONS[name]
-    audit = StepAudit(jg.locate_site(jg.uterus(), lesion.site).normal)
+    audit = StepAudit(locate_site(jg.uterus(), lesion.site).normal)
     adaptation.relax = audit.relax
     start = time.perf_counter()
     scene = jg.Scene(
@@ -266,7 +267,7 @@ def cost(options: argparse.Namespace) -> dict[str, Any]:
     return {"median_seconds": medians, "ratio_to_off": ratio, "rows": warm}
 
 
-def pictured(name: str, scene: jg.Scene, **more: Any) -> dict[str, Any]:
+def pictured(name: str, scene: jg.Scene) -> dict[str, Any]:
     """Grow, write the run's folder beside the results, and keep its picture."""
     from jaxgrow.run_folder import write_run
 
@@ -274,8 +275,8 @@ def pictured(name: str, scene: jg.Scene, **more: Any) -> dict[str, Any]:
         if progress.divisions % 20 == 0:
             print(name, progress, file=sys.stderr, flush=True)
 
-    growth = jg.grow(scene, progress=tell, **more)
-    folder = Path(more.pop("out", "runs")) / name
+    growth = jg.grow(scene, progress=tell)
+    folder = Path("runs") / name
     folder.parent.mkdir(exist_ok=True)
     report = write_run(growth, folder, [])
     (RESULTS / f"{name}.png").write_bytes((folder / "growth.png").read_bytes())
@@ -300,17 +301,30 @@ def flat_uterus() -> jg.Organ:
     return jg.Organ("flat uterus", squeeze * womb.vertices, womb.faces, sites=sites)
 
 
-def pictures(_: argparse.Namespace) -> dict[str, Any]:
+def cavity() -> jg.Scene:
+    """A polyp deeper than its cavity."""
+    lesion = jg.Polyp(size_mm=13.0, site="anterior", particle_mm=1.2)
+    return jg.Scene(organ=flat_uterus(), lesion=lesion)
+
+
+def os_() -> jg.Scene:
+    """A polyp that meets an os of 4 mm on its way."""
+    lesion = jg.Polyp(size_mm=10.5, site="opposite", particle_mm=0.9)
+    return jg.Scene(organ=hourglass(4.0, 4.0, 4.0), lesion=lesion)
+
+
+def picture(name: str) -> dict[str, Any]:
+    """One of the two, in a process of its own."""
+    jax.config.update("jax_enable_x64", True)
+    return pictured(name, {"cavity": cavity, "os": os_}[name]())
+
+
+def pictures(options: argparse.Namespace) -> dict[str, Any]:
     """A polyp against the opposite wall, and one that grows through an os."""
-    cavity = jg.Scene(
-        organ=flat_uterus(),
-        lesion=jg.Polyp(size_mm=14.0, site="anterior", particle_mm=1.2),
-    )
-    os_ = jg.Scene(
-        organ=hourglass(4.0, 4.0, 4.0),
-        lesion=jg.Polyp(size_mm=12.0, site="opposite", particle_mm=0.8),
-    )
-    return {"cavity": pictured("cavity", cavity), "os": pictured("os", os_)}
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(options.processes, context) as pool:
+        jobs = {name: pool.submit(picture, name) for name in ("cavity", "os")}
+        return {name: job.result() for name, job in jobs.items()}
 
 
 PARTS: dict[str, Callable[[argparse.Namespace], dict[str, Any]]] = {
