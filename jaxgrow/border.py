@@ -32,9 +32,11 @@ Under a stiff membrane they are larger from the beginning; there the bound is
 
 SHARE = 0.5
 
-AGAINST = 0.85
-"""Distance of a tumour particle to what is held, in r0, below which it presses on it:
-neighbours at rest are 0.9 to 1 apart."""
+AGAINST = 0.58
+"""Distance of a tumour particle to what is held, in r0, at which a pair repels by `FELT`.
+
+In tissue of the default density neighbours are 0.8 to 0.9 apart.
+"""
 
 
 @dataclass(frozen=True, eq=False)
