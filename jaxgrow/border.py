@@ -33,7 +33,7 @@ Under a stiff membrane they are larger from the beginning; there the bound is
 SHARE = 0.5
 
 AGAINST = 0.58
-"""Distance of a tumour particle to what is held, in r0, at which a pair repels by `FELT`.
+"""Distance of a tumour particle to what is held, in r0, where a pair repels by `FELT`.
 
 In tissue of the default density neighbours are 0.8 to 0.9 apart.
 """
