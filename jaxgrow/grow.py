@@ -47,6 +47,12 @@ def grow(
     tissue and surface come to equilibrium (here together, see `jaxgrow.relax`), the
     surface is faired, and its springs get their current length as new rest length.
 
+    What goes wrong is mended where it can be: an equilibrium that is not found, or
+    that threw particles out, is tried again from its start with shorter steps; lists
+    that overflow are made larger; a fairing that fails the exact check is left out;
+    sheets that meet begin to repel each other; a patch that feels the lesion is
+    enlarged. `Growth.mended` counts it. Otherwise the growth ends with its name.
+
     Args:
         scene: what to grow, and where.
         seed: of all random choices; the same seed gives the same growth.
@@ -58,7 +64,9 @@ def grow(
 
     Returns:
         The growth. Its result is REACHED, or says why it ended before that, with the
-        last equilibrium as its state.
+        last equilibrium as its state: DIVISION_LIMIT, TIME_LIMIT, CAVITY_FULL (against
+        its walls the lesion no longer grows), PATCH_TOO_SMALL (the organ has no more
+        surface), INTERSECTION, EVAPORATED, STEP_LIMIT, NON_FINITE or ON_MEMBRANE.
 
     Raises:
         OrganError: the organ or the site cannot be used.
