@@ -305,14 +305,17 @@ def flat_uterus() -> jg.Organ:
 
 def cavity() -> jg.Scene:
     """A polyp deeper than its cavity."""
-    lesion = jg.Polyp(size_mm=13.0, site="anterior", particle_mm=1.2)
+    lesion = jg.Polyp(size_mm=12.0, site="anterior", particle_mm=1.2)
     return jg.Scene(organ=flat_uterus(), lesion=lesion)
 
 
 def os_() -> jg.Scene:
-    """A polyp that meets an os of 4 mm on its way."""
-    lesion = jg.Polyp(size_mm=10.5, site="opposite", particle_mm=0.9)
-    return jg.Scene(organ=hourglass(4.0, 4.0, 4.0), lesion=lesion)
+    """A polyp that leaves its chamber of 5.6 mm through an os of 4 mm."""
+    lesion = jg.Polyp(size_mm=9.5, site="opposite", particle_mm=0.8)
+    around = jg.Surroundings(radius=4.0)
+    return jg.Scene(
+        organ=hourglass(4.0, 2.8, 4.0, edge=0.7), lesion=lesion, surroundings=around
+    )
 
 
 def picture(name: str) -> dict[str, Any]:
