@@ -8,9 +8,9 @@ import pytest
 from jaxgrow.mesh.winding import particles_outside
 from jaxgrow.organ import merge
 from jaxgrow.parameters import Parameters
-from jaxgrow.planting import depth_of, find_organ, HOLD, plant
+from jaxgrow.planting import depth_of, find_organ, HOLD, plant, SPARE
 from jaxgrow.results import Result
-from jaxgrow.scene import Myoma, Polyp, Scene, Surroundings
+from jaxgrow.scene import Myoma, Polyp, Scene, SceneError, Surroundings
 from jaxgrow.state import Species
 from jaxgrow.transfer import get, get_particles, get_surface
 
@@ -149,3 +149,16 @@ def test_growth_state_holds_no_padding_at_the_site(polyp):
     distance = jnp.linalg.norm(particles.position, axis=1)
     assert get(distance)[dead].min() > 1e3
     assert jax.tree.leaves(particles)[0].dtype == jnp.float64
+
+
+def test_tissue_that_lifts_the_surface_by_itself_is_refused():
+    scene = Scene(
+        lesion=Polyp(size_mm=8.0, particle_mm=1.5),
+        surroundings=Surroundings(radius=4.0, density=8.0),
+    )
+    with pytest.raises(SceneError, match=r"density 8 .* lifts the surface by .* r0"):
+        plant(scene, Parameters(), tolerance=1e-1, rng=np.random.default_rng(0))
+
+
+def test_capacity_is_rounded_so_that_other_scenes_use_the_same_programs(polyp):
+    assert polyp.state.particles.position.shape[0] % SPARE == 0

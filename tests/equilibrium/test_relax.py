@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from scipy.sparse import lil_array
 from scipy.sparse.linalg import spsolve
+from scipy.spatial import KDTree
 
+from jaxgrow.energy.a2 import A2
 from jaxgrow.energy.pair import pair_force
 from jaxgrow.equilibrium.problem import Lists, Problem
 from jaxgrow.equilibrium.relax import allocate_lists, relax, stale
@@ -345,3 +347,77 @@ def test_unknown_method_is_refused(cluster):
     # __wrapped__: the type checker of the tests would refuse it first
     with pytest.raises(ValueError, match="method is 'newton'; it must be one of"):
         inspect.unwrap(relax)(cluster, method="newton")
+
+
+@pytest.mark.parametrize("count", [2, 40])
+def test_particles_at_one_point_do_not_stay_there(make_particles, count):
+    outcome = relax(make_particles(np.zeros((count, 3))), tolerance=1e-4)
+    assert outcome.result is Result.CONVERGED
+    position = np.asarray(outcome.state[0].position)[:count]
+    assert KDTree(position).query(position, k=2)[0][:, 1].min() > 0.6
+
+
+def test_particles_are_set_apart_by_no_more_than_a_hair(make_particles):
+    position = np.array([[0.0, 0, 0], [0, 0, 0], [0, 0, 0], [3.0, 0, 0]])
+    outcome = relax(make_particles(position), tolerance=10.0)
+    moved = np.asarray(outcome.state[0].position)[:4]
+    assert outcome.stats.steps == 0
+    assert 0 < np.abs(moved - position).max() < 1e-12
+    assert len(np.unique(moved, axis=0)) == 4
+    np.testing.assert_array_equal(moved[3], position[3])
+
+
+def test_held_particles_at_one_point_stay(make_particles):
+    particles = make_particles(np.zeros((3, 3)), held=np.ones(3, bool))
+    outcome = relax(particles, tolerance=1e-4)
+    np.testing.assert_array_equal(outcome.state[0].position[:3], np.zeros((3, 3)))
+
+
+def test_particle_on_the_membrane_is_a_result(make_particles, make_membrane):
+    position = np.array([[0.2, 0.3, 0.0], [0.0, 0.0, -1.0]])
+    outcome = relax(make_particles(position), make_membrane(), tolerance=1e-4)
+    assert outcome.result is Result.ON_MEMBRANE
+
+
+@pytest.mark.parametrize("depth", [1e-9, 1e-12])
+def test_particle_a_hair_under_the_membrane_is_pushed_away_from_it(
+    make_particles, make_membrane, depth
+):
+    position = np.array([[0.0, 0.0, -depth], [0.0, 0.0, -1.0]])
+    outcome = relax(make_particles(position), make_membrane(), tolerance=1e-4)
+    assert outcome.result is Result.CONVERGED
+    membrane = outcome.state[1]
+    height = np.asarray(membrane.vertices)[np.asarray(membrane.vertex_alive), 2]
+    assert np.asarray(outcome.state[0].position)[0, 2] < height.min() - 0.2
+
+
+def test_observer_sees_every_step(make_particles):
+    rng = np.random.default_rng(3)
+    particles = make_particles(rng.uniform(0, 2, (20, 3)))
+    seen = []
+    outcome = relax(particles, tolerance=1e-3, observe=seen.append)
+    assert len(seen) == outcome.stats.steps > 5
+    np.testing.assert_array_equal(seen[-1].particles, outcome.state[0].position)
+    # one step at a time is the same way
+    plain = relax(particles, tolerance=1e-3)
+    assert plain.stats.steps == outcome.stats.steps
+    np.testing.assert_allclose(
+        plain.state[0].position, outcome.state[0].position, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("step", [0.0, 0.2, np.nan])
+def test_largest_step_out_of_its_range_is_refused(make_particles, step):
+    with pytest.raises(ValueError, match=r"largest_step is .*; it must be positive"):
+        relax(make_particles(np.zeros((1, 3))), largest_step=step)
+
+
+def test_forces_are_those_on_held_nodes_too(make_particles):
+    particles = make_particles(
+        np.array([[0.0, 0, 0], [0.7, 0, 0]]), held=np.ones(2, bool)
+    )
+    outcome = relax(particles, tolerance=1e-4)
+    assert outcome.stats.residual == 0
+    push = float(A2(0.2, 0.1).force(jnp.asarray(0.7)))
+    np.testing.assert_allclose(outcome.forces.particles[0], [-push, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(outcome.forces.particles[1], [push, 0, 0], atol=1e-12)
