@@ -175,7 +175,7 @@ def test_wrong_usage_is_told_in_one_line(arguments, sentence, capsys):
         (["--size-mm", "-3"], "lesion.size_mm is -3.0: input should be greater than 0"),
         (["--size-mm", "0"], "lesion.size_mm is 0.0: input should be greater than 0"),
         (["--size-mm", "nan"], "lesion.size_mm is nan: input should be"),
-        (["--size-mm", "300"], "a polyp of 300 mm cannot fit"),
+        (["--size-mm", "300"], "must stay to hold it: ask for a smaller lesion"),
         (["--site", "fundsu"], "did you mean 'fundus'?"),
         (["--site", "1,2"], "neither a name nor three finite coordinates"),
         (["--site", "1,2,x"], "neither a name nor three finite coordinates"),
