@@ -310,12 +310,11 @@ def cavity() -> jg.Scene:
 
 
 def os_() -> jg.Scene:
-    """A polyp that leaves its chamber of 5.6 mm through an os of 4 mm."""
-    lesion = jg.Polyp(size_mm=9.5, site="opposite", particle_mm=0.8)
-    around = jg.Surroundings(radius=4.0)
-    return jg.Scene(
-        organ=hourglass(4.0, 2.8, 4.0, edge=0.7), lesion=lesion, surroundings=around
-    )
+    """A polyp that leaves its chamber of 4.8 mm through an os of 4 mm."""
+    lesion = jg.Polyp(size_mm=8.0, site="opposite", particle_mm=0.8)
+    organ = hourglass(4.0, 2.4, 4.0, edge=0.7)
+    around = jg.Surroundings(radius=3.0, thickness=2.2)
+    return jg.Scene(organ=organ, lesion=lesion, surroundings=around)
 
 
 def picture(name: str) -> dict[str, Any]:

@@ -14,9 +14,9 @@ from jaxgrow.lesion import size_of
 from jaxgrow.parameters import Parameters
 from jaxgrow.planting import plant
 from jaxgrow.results import Result
-from jaxgrow.scene import Scene
+from jaxgrow.scene import Polyp, Scene
 from jaxgrow.state import Species
-from jaxgrow.step import enlarge_patch, iterate, Iteration, Step
+from jaxgrow.step import enlarge_patch, is_below, iterate, Iteration, Step
 from jaxgrow.transfer import get
 
 
@@ -116,7 +116,7 @@ def grow(
             elif result is Result.STEP_LIMIT and _stagnates(history, STAGNATION // 2):
                 result = Result.CAVITY_FULL
             record = _record(number, size, made, clock)
-            place = _tight_place(made, history)
+            place = _tight_place(scene, made, history)
             if place is not None:
                 with clock.phase("enlarge"):
                     wider = enlarge_patch(
@@ -148,7 +148,7 @@ def grow(
 
 
 def _tight_place(
-    made: Iteration, history: list[dict[str, Any]]
+    scene: Scene, made: Iteration, history: list[dict[str, Any]]
 ) -> Float[np.ndarray, "3"] | None:
     """Where the patch is to be enlarged before the next iteration, in r0, if it is.
 
@@ -158,8 +158,11 @@ def _tight_place(
     if made.felt is None or made.felt.place is None:
         return None
     enlarged = sum("patch_enlarged" in record["mended"] for record in history)
-    follow = made.felt.crossed > 0 or enlarged < ENLARGEMENTS
-    return made.felt.place if follow else None
+    assert made.step.ground is not None
+    bottom = is_below(made.step.ground, made.felt.place)
+    # under a polyp the bottom of the layer is what it pushes itself off from
+    ignored = enlarged >= ENLARGEMENTS or (bottom and isinstance(scene.lesion, Polyp))
+    return made.felt.place if made.felt.crossed or not ignored else None
 
 
 def end_of(

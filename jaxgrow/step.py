@@ -156,6 +156,13 @@ WIDER, DEEPER = 2.0, 1.0
 """By how much radius or thickness of a patch grow when it is enlarged, in r0."""
 
 
+def is_below(ground: Ground, place: Float[np.ndarray, "3"]) -> bool:
+    """Whether a place on a patch's border is at its bottom rather than at its sides."""
+    axis = ground.site.normal
+    sideways = float(np.linalg.norm(place - (place @ axis) * axis))
+    return sideways < 0.6 * ground.radius
+
+
 def enlarge_patch(
     scene: Scene,
     step: Step,
@@ -181,9 +188,7 @@ def enlarge_patch(
     """
     ground = step.ground
     assert ground is not None
-    axis = ground.site.normal
-    sideways = float(np.linalg.norm(place - (place @ axis) * axis))
-    below = sideways < 0.6 * ground.radius
+    below = is_below(ground, place)
     radius = ground.radius + (0.0 if below else WIDER)
     try:
         wider = enlarge_ground(
