@@ -168,8 +168,9 @@ def check_lift(membrane: Membrane, former: FormerSurface, density: float) -> Non
     if height.max() > RAISED:
         raise SceneError(
             f"tissue of density {density:g} per r0³ lifts the surface by "
-            f"{height.max():.2g} r0 before anything grows; ask for less, or leave it "
-            "to the default of 1.7."
+            f"{height.max():.2g} r0 before anything grows, as much as counts as a "
+            "lesion; ask for less density or softer springs (the defaults are 1.7 and "
+            "0.04)."
         )
 
 
@@ -235,7 +236,8 @@ def _plant_in(
     frame = Frame(
         jnp.asarray(site.point), jnp.asarray(site.normal), jnp.asarray(r0_mm), former
     )
-    check_lift(membrane, former, around.density)
+    if scene.lesion.target_mm is not None:
+        check_lift(membrane, former, around.density)
     border = border_of(outcome, organ_index)
     walls = walls_around(organ, patch, meeting_distance(scene, radius))
     ground = Ground(organ, site, patch, walls, radius, thickness)

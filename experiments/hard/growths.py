@@ -222,8 +222,7 @@ def cases() -> Iterator[Case]:
         "tissue-far-too-dense",
         "tissue of 12 particles per r0³ in which every one has overlaps",
         grown(divisions=12, around={**SMALL, "density": 8.0}),
-        ("SceneError",),
-        "lifts the surface",
+        ok,
         slow=True,
     )
     yield Case(
