@@ -111,6 +111,11 @@ def main() -> int:
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=1800.0, help="at most, a case")
     parser.add_argument("--fast", action="store_true", help="leave out the slow cases")
+    parser.add_argument(
+        "--together",
+        action="store_true",
+        help="in one process: faster, as programs are compiled once; no --seconds",
+    )
     parser.add_argument("--here", metavar="NAME", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.here:
@@ -128,8 +133,11 @@ def main() -> int:
     if RESULTS.exists() and options.only:
         rows = {row["name"]: row for row in json.loads(RESULTS.read_text())}
     threads = 1 if options.processes > 1 else 0
-    with ThreadPoolExecutor(options.processes) as pool:
-        jobs = [pool.submit(run_apart, n, options.seconds, threads) for n in names]
+    with ThreadPoolExecutor(1 if options.together else options.processes) as pool:
+        if options.together:
+            jobs = [pool.submit(run_here, n) for n in names]
+        else:
+            jobs = [pool.submit(run_apart, n, options.seconds, threads) for n in names]
         for count, job in enumerate(as_completed(jobs), 1):
             row = job.result()
             rows[row["name"]] = row
