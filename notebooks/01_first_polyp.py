@@ -77,8 +77,8 @@ vars(scene.parameters)
 # Each step adds one tumour particle under the source vertex of the polyp, lets
 # particles and surface relax to their common equilibrium, and fairs the surface. The
 # seed decides all random choices. `tolerance` is the largest force left in an
-# equilibrium, in units of the repulsion of two particles at one point. The first line takes a while, as JAX compiles the
-# relaxation and the tissue is brought to rest.
+# equilibrium, in units of the repulsion of two particles at one point. The first line
+# takes a while, as JAX compiles the relaxation and the tissue is brought to rest.
 
 
 # %%
