@@ -24,6 +24,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from hard.examine import coned
 from hard.organs import hourglass
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
@@ -33,8 +34,8 @@ from jaxgrow import adaptation
 from jaxgrow.equilibrium.relax import relax
 from jaxgrow.mesh.fairing import fair
 from jaxgrow.mesh.intersection import intersecting_pairs
+from jaxgrow.mesh.quality import radius_ratio
 from jaxgrow.mesh.surface import Surface
-from jaxgrow.mesh.topology import build_topology
 from jaxgrow.mesh.winding import winding_number
 from jaxgrow.organ import locate_site
 from jaxgrow.transfer import get
@@ -54,14 +55,7 @@ def closed_far_above(
 
     All particles are outside of it, as long as none crosses the patch.
     """
-    topology = build_topology(faces, len(vertices))
-    rim = np.flatnonzero(~topology.interior)
-    half = {tuple(h) for h in topology.edges[rim]}
-    directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    on_rim = np.array([tuple(sorted(h)) in half for h in directed.tolist()])
-    start, end = directed[on_rim].T
-    cone = np.stack([end, start, np.full(len(start), len(vertices))], axis=1)
-    return np.concatenate([vertices, [1e3 * axis]]), np.concatenate([faces, cone])
+    return coned(vertices, faces, 1e3 * axis)
 
 
 class StepAudit:
@@ -71,6 +65,7 @@ class StepAudit:
         self.axis = axis
         self.count: Counter[str] = Counter()
         self.largest_move = 0.0
+        self.worst_quality = 1.0
 
     def relax(self, particles: Any, membrane: Any = None, **more: Any) -> Any:
         """`jaxgrow.relax`, with an audit after every step."""
@@ -110,6 +105,8 @@ class StepAudit:
             self.count["steps looked at for intersections"] += 1
             crossing = intersecting_pairs(vertices, faces)
             self.count["self-intersections"] += sum(map(len, crossing))
+            shapes = radius_ratio(vertices[faces])
+            self.worst_quality = min(self.worst_quality, float(shapes.min()))
 
 
 LESIONS = {
@@ -156,6 +153,7 @@ def audited(name: str, seed: int) -> dict[str, Any]:
         "result": growth.result.name,
         "divisions": len(growth.events),
         "largest_move_r0": audit.largest_move,
+        "worst_quality": audit.worst_quality,
         "seconds": time.perf_counter() - start,
         "clean_at_the_end": jg.audit(growth).clean,
         **dict.fromkeys(COUNTED, 0),

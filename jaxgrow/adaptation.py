@@ -9,7 +9,6 @@ then on in this growth: as long as none do it is zero, and a growth does not pay
 import math
 from dataclasses import dataclass, field
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 from scipy.spatial import KDTree
@@ -132,12 +131,13 @@ def _flew_apart(before: Particles, after: Particles) -> bool:
     A relaxation with too long steps throws particles out of each other's reach, where
     no force is left and everything seems to be at rest.
     """
-    alone = []
+    alone, count = [], 0
     for particles in (before, after):
         alive = get(particles.alive)
         points = get(particles.position)[alive]
-        if len(points) < 2:
+        count = len(points)
+        if count < 2:
             return False
         distance, _ = KDTree(points).query(points, k=2)
         alone.append(int(np.count_nonzero(distance[:, 1] >= CUTOFF)))
-    return alone[1] > alone[0] + 0.02 * int(jnp.sum(after.alive))
+    return alone[1] > alone[0] + 0.02 * count

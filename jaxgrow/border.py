@@ -1,21 +1,22 @@
 """What the border of a patch feels: its rim, and the tissue that is held around it.
 
 A patch is large enough if what holds it does not feel the lesion: if the forces on the
-rim and on the held tissue are about those before growth, when tissue and pretension
-alone act there, if no tumour particle lies against them, and if no particle has left
-the room under the patch: the rest of the organ's surface holds nothing back.
+held tissue are about those before growth, if no tumour particle presses on it or on the
+rim, and if no particle has left the room under the patch: the rest of the organ's
+surface holds nothing back. (The force on the rim tells nothing: the pull of the springs
+there changes with every reset.)
 """
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from jaxgrow.equilibrium.relax import Relaxation
 from jaxgrow.mesh.proximity import nearest_on_mesh
-from jaxgrow.mesh.quality import area_vectors
+from jaxgrow.mesh.quality import area_vectors, lengths
 from jaxgrow.mesh.sheet import Walls
 from jaxgrow.mesh.surface import Surface
 from jaxgrow.state import Particles, Species
@@ -41,18 +42,17 @@ In tissue of the default density neighbours are 0.8 to 0.9 apart.
 
 @dataclass(frozen=True, eq=False)
 class Border:
-    """What is held around a patch, and the forces on it.
+    """What is held around a patch.
 
     Attributes:
-        names: of the rim's vertices in the organ, ascending; then -1 for each held
-            particle, by slot.
-        position: in r0.
-        force: in F(0).
+        rim: position of the membrane's fixed vertices, in r0.
+        held: position of the held particles, by slot, in r0.
+        force: on each held particle, in F(0).
     """
 
-    names: Int[np.ndarray, " b"]
-    position: Float[np.ndarray, "b 3"]
-    force: Float[np.ndarray, "b 3"]
+    rim: Float[np.ndarray, "r 3"]
+    held: Float[np.ndarray, "h 3"]
+    force: Float[np.ndarray, "h 3"]
 
 
 class Feeling(NamedTuple):
@@ -85,32 +85,17 @@ class Beside(NamedTuple):
     crossed: int = 0
 
 
-def border_of(relaxation: Relaxation, organ_index: Int[np.ndarray, " m"]) -> Border:
-    """The border after the relaxation of a patch.
-
-    Args:
-        relaxation: of particles and membrane.
-        organ_index: of each vertex alive the organ's vertex that it is.
-    """
+def border_of(relaxation: Relaxation) -> Border:
+    """The border after the relaxation of a patch, particles and membrane."""
     particles, membrane = relaxation.state
     assert particles is not None
     assert membrane is not None
-    forces = relaxation.forces
-    assert forces.particles is not None
-    assert forces.vertices is not None
-    rim = np.flatnonzero(get(membrane.pinned)[get(membrane.vertex_alive)])
-    rim = rim[np.argsort(organ_index[rim])]
-    held = np.flatnonzero(get(particles.alive & particles.held))
-
-    def both(
-        vertices: Float[Array, "m 3"], points: Float[Array, "n 3"]
-    ) -> Float[np.ndarray, "b 3"]:
-        return np.concatenate([get(vertices)[rim], get(points)[held]])
-
+    assert relaxation.forces.particles is not None
+    held = get(particles.alive & particles.held)
     return Border(
-        names=np.concatenate([organ_index[rim], np.full(len(held), -1)]),
-        position=both(membrane.vertices, particles.position),
-        force=both(forces.vertices, forces.particles),
+        rim=get(membrane.vertices)[get(membrane.pinned & membrane.vertex_alive)],
+        held=get(particles.position)[held],
+        force=get(relaxation.forces.particles)[held],
     )
 
 
@@ -125,22 +110,23 @@ def feeling(
         particles: now.
         beside: free particles that are beside the patch.
     """
-    change = np.linalg.norm(border.force - before.force, axis=1)
-    change[border.names >= 0] = 0.0  # the pull of the springs changes with every reset
-    bound = np.linalg.norm(before.force[border.names < 0], axis=1).max(initial=0.0)
+    change = lengths(border.force - before.force)
+    bound = max(FELT, SHARE * lengths(before.force).max(initial=0.0))
+    force = float(change.max(initial=0.0))
     position, alive = get(particles.position), get(particles.alive)
     tumour = position[alive & (get(particles.species) == Species.TUMOUR)]
-    distance = np.full(len(change), np.inf)
+    places = np.concatenate([border.rim, border.held])
+    distance = np.full(len(places), np.inf)
     if len(tumour):
-        distance, _ = KDTree(tumour).query(border.position)
-    force, nearest = float(change.max()), float(distance.min())
+        distance, _ = KDTree(tumour).query(places)
+    nearest = float(distance.min())
     place = None
     if len(beside.position):
         place = beside.position[0]
-    elif force > max(FELT, SHARE * bound):
-        place = border.position[change.argmax()]
+    elif force > bound:
+        place = border.held[change.argmax()]
     elif nearest < AGAINST:
-        place = border.position[distance.argmin()]
+        place = places[distance.argmin()]
     return Feeling(force, nearest, place, beside.crossed)
 
 
@@ -165,7 +151,7 @@ def beside_patch(
     faces = walls.faces[chosen]
     corners = walls.vertices[faces]
     centre = corners.mean(axis=1)
-    radius = np.linalg.norm(corners - centre[:, None], axis=2).max()
+    radius = lengths(corners - centre[:, None]).max()
     near, _ = KDTree(centre).query(points)
     points = points[near < radius + reach]
     if not len(points):

@@ -14,7 +14,7 @@ from jaxgrow.mesh.sheet import Encounters, encounters, join, nearest_apart, Shee
 from jaxgrow.mesh.surface import Surface
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Membrane
-from jaxgrow.transfer import get, get_surface
+from jaxgrow.transfer import get, get_number, get_surface, padded
 
 
 SKIN = 0.25
@@ -59,8 +59,8 @@ class CollisionFinder:
             get_surface(membrane),
             names,
             walls,
-            float(get(jnp.asarray(parameters.collision_range))),
-            float(get(jnp.asarray(parameters.barrier_range))),
+            get_number(parameters.collision_range),
+            get_number(parameters.barrier_range),
         )
 
     def __call__(
@@ -109,35 +109,30 @@ class CollisionFinder:
         n = sheet.n_surface
         still = sheet.vertices[n:]
 
-        def capacity(size: int, array: Array | None, least: int) -> int:
-            return capacity_for(size, least if array is None else array.shape[0])
+        def room(rows: np.ndarray, name: str, least: int) -> int:
+            known = least if before is None else getattr(before, name).shape[0]
+            return capacity_for(len(rows), known)
 
-        last = None if before is None else before
-        n_still = capacity(len(still), None if last is None else last.still, 64)
-        n_vertex = capacity(
-            len(found.vertex), None if last is None else last.vertex, LEAST_PAIRS
-        )
-        n_edge = capacity(
-            len(found.edges), None if last is None else last.edges, 2 * LEAST_PAIRS
-        )
+        n_still = room(still, "still", 64)
+        n_vertex = room(found.vertex, "vertex", LEAST_PAIRS)
+        n_edge = room(found.edges, "edges", 2 * LEAST_PAIRS)
 
         def slot(index: np.ndarray) -> np.ndarray:
             return np.where(index < n, index, index - n + slots)
 
-        def padded(array: np.ndarray, size: int, value: float) -> Array:
-            rows = [(0, size - len(array))] + [(0, 0)] * (array.ndim - 1)
-            return jnp.asarray(np.pad(array, rows, constant_values=value))
+        def put(array: np.ndarray, capacity: int, value: float = 0) -> Array:
+            return jnp.asarray(padded(array, capacity, value))
 
         vertex_margin, edge_margin = self._margins(sheet, found)
         dtype = vertices.dtype
         return Collisions(
-            still=padded(still, n_still, 1e6).astype(dtype),
-            vertex=padded(slot(found.vertex), n_vertex, slots + n_still - 1),
-            corners=padded(slot(found.corners), n_vertex, 0),
-            apart=padded(found.vertex_apart, n_vertex, False),
-            vertex_margin=padded(vertex_margin, n_vertex, 0.0).astype(dtype),
-            edges=padded(slot(found.edges), n_edge, 0),
-            edge_margin=padded(edge_margin, n_edge, 0.0).astype(dtype),
+            still=put(still, n_still, 1e6).astype(dtype),
+            vertex=put(slot(found.vertex), n_vertex, slots + n_still - 1),
+            corners=put(slot(found.corners), n_vertex),
+            apart=put(found.vertex_apart, n_vertex),
+            vertex_margin=put(vertex_margin, n_vertex).astype(dtype),
+            edges=put(slot(found.edges), n_edge),
+            edge_margin=put(edge_margin, n_edge).astype(dtype),
             reference=vertices,
             skin=jnp.asarray(SKIN, dtype),
             stale=jnp.zeros((), bool),

@@ -15,8 +15,9 @@ from jaxgrow.parameters import Parameters
 from jaxgrow.planting import plant
 from jaxgrow.results import Result
 from jaxgrow.scene import Polyp, Scene
+from jaxgrow.settling import bound_on_quality, Step
 from jaxgrow.state import Species
-from jaxgrow.step import enlarge_patch, is_below, iterate, Iteration, Step
+from jaxgrow.step import enlarge_patch, is_below, iterate, Iteration
 from jaxgrow.transfer import get
 
 
@@ -66,7 +67,8 @@ def grow(
         The growth. Its result is REACHED, or says why it ended before that, with the
         last equilibrium as its state: DIVISION_LIMIT, TIME_LIMIT, CAVITY_FULL (against
         its walls the lesion no longer grows), PATCH_TOO_SMALL (the organ has no more
-        surface), INTERSECTION, EVAPORATED, STEP_LIMIT, NON_FINITE or ON_MEMBRANE.
+        surface), INTERSECTION, SLIVER, EVAPORATED, STEP_LIMIT, NON_FINITE or
+        ON_MEMBRANE.
 
     Raises:
         OrganError: the organ or the site cannot be used.
@@ -95,6 +97,7 @@ def grow(
             lists,
             planted.ground,
             border=planted.border,
+            least_quality=bound_on_quality(planted.state),
         )
         events: list[Event] = []
         history: list[dict[str, Any]] = []
@@ -118,10 +121,9 @@ def grow(
             record = _record(number, size, made, clock)
             place = _tight_place(scene, made, history)
             if place is not None:
-                with clock.phase("enlarge"):
-                    wider = enlarge_patch(
-                        scene, step, parameters, tolerance, rng, place
-                    )
+                wider = enlarge_patch(
+                    scene, step, parameters, tolerance, rng, place, clock
+                )
                 result = Result.CONVERGED
                 if isinstance(wider, Result):
                     result = wider
@@ -205,7 +207,7 @@ def _record(
 ) -> dict[str, Any]:
     """What is written about one division."""
     particles, membrane = made.step.state.particles, made.step.state.membrane
-    stats = made.adapted.relaxation.stats
+    stats = made.settled.adapted.relaxation.stats
     alive = get(particles.alive)
     record: dict[str, Any] = {
         "division": division,
@@ -220,13 +222,14 @@ def _record(
     if membrane is not None:
         record["vertices"] = int(get(membrane.vertex_alive).sum())
         record["faces"] = int(get(membrane.face_alive).sum())
-        record["colliding"] = made.adapted.colliding
+        record["colliding"] = made.settled.adapted.colliding
+        record["quality"] = made.settled.quality
     if made.felt is not None:
         record["border_force"] = made.felt.force
         record["border_distance"] = made.felt.distance
     if made.event.remeshing is not None:
         record["operations"] = dict(made.event.remeshing.counts)
-    record["mended"] = made.mended
+    record["mended"] = made.settled.mended
     record["seconds"] = clock.lap()
     return record
 

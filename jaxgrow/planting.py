@@ -238,7 +238,7 @@ def _plant_in(
     )
     if scene.lesion.target_mm is not None:
         check_lift(membrane, former, around.density)
-    border = border_of(outcome, organ_index)
+    border = border_of(outcome)
     walls = walls_around(organ, patch, meeting_distance(scene, radius))
     ground = Ground(organ, site, patch, walls, radius, thickness)
     state = State(particles, reset_springs(membrane), frame)

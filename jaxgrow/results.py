@@ -61,6 +61,11 @@ class Result(enum.Enum):
         "A particle lies exactly on the membrane, or two sheets of it touch, so there "
         "is no side for it to be on; move them apart.",
     )
+    SLIVER = (
+        12,
+        "A triangle of the surface degenerated and could not be repaired; use stiffer "
+        "springs.",
+    )
 
     def __init__(self, code: int, sentence: str) -> None:
         self.code = code

@@ -17,6 +17,7 @@ from jaxgrow.energy.springs import edge_length
 from jaxgrow.mesh.surface import average_parents, Remeshing, Surface
 from jaxgrow.mesh.topology import build_topology
 from jaxgrow.state import Membrane, parked, Particles
+from jaxgrow.types import Scalar
 
 
 def get(array: Array) -> np.ndarray:
@@ -24,10 +25,15 @@ def get(array: Array) -> np.ndarray:
     return np.asarray(jax.lax.stop_gradient(array))
 
 
-def _padded(array: np.ndarray, capacity: int) -> np.ndarray:
-    """The array with rows of zeros (False) behind it."""
+def get_number(value: Scalar) -> float:
+    """A parameter on the host, whether it is a number, an array or traced by `grad`."""
+    return float(get(jnp.asarray(value)))
+
+
+def padded(array: np.ndarray, capacity: int, value: float = 0) -> np.ndarray:
+    """The array with rows of a value (zeros, False) behind it."""
     rows = [(0, capacity - len(array))] + [(0, 0)] * (array.ndim - 1)
-    return np.pad(array, rows)
+    return np.pad(array, rows, constant_values=value)
 
 
 def put_particles(
@@ -41,9 +47,9 @@ def put_particles(
     padding = parked(capacity - count)
     return Particles(
         position=jnp.concatenate([jnp.asarray(position), padding]),
-        species=jnp.asarray(_padded(species, capacity)),
+        species=jnp.asarray(padded(species, capacity)),
         alive=jnp.arange(capacity) < count,
-        held=jnp.asarray(_padded(held, capacity)),
+        held=jnp.asarray(padded(held, capacity)),
     )
 
 
@@ -74,7 +80,7 @@ def get_particles(
 def put_membrane(surface: Surface) -> Membrane:
     """A membrane at rest on the device."""
     capacity = _vertex_capacity(surface)
-    vertices = jnp.asarray(_padded(surface.vertices, capacity))
+    vertices = jnp.asarray(padded(surface.vertices, capacity))
     return _at_rest(vertices, surface)
 
 
@@ -89,37 +95,34 @@ def get_surface(membrane: Membrane) -> Surface:
     )
 
 
-def put_remeshed(
-    membrane: Membrane, surface: Surface, remeshing: Remeshing
-) -> Membrane:
+def put_remeshed(membrane: Membrane, remeshing: Remeshing) -> Membrane:
     """The membrane after a remeshing, at rest: its springs have their current length.
 
     Args:
         membrane: as it was before.
-        surface: its faces, rim and source afterwards.
-        remeshing: the linear maps that give the new vertices from the old.
+        remeshing: connectivity afterwards, and the linear maps from the old vertices.
     """
     most = max([len(p) for p in remeshing.parents], default=0)
     old = membrane.vertices.shape[0]
-    capacity = max(_vertex_capacity(surface, most), old)
+    capacity = max(_vertex_capacity(remeshing, most), old)
     vertices = membrane.vertices
     if capacity > old:
         more = jnp.zeros((capacity - old, 3), vertices.dtype)
         vertices = jnp.concatenate([vertices, more])
     for parents in remeshing.parents:
-        vertices = _average(vertices, jnp.asarray(_padded(parents, capacity)))
-    return _at_rest(vertices, surface)
+        vertices = _average(vertices, jnp.asarray(padded(parents, capacity)))
+    return _at_rest(vertices, remeshing)
 
 
 _average = jax.jit(average_parents)
 _edge_length = eqx.filter_jit(edge_length)
 
 
-def _vertex_capacity(surface: Surface, most: int = 0) -> int:
+def _vertex_capacity(mesh: Surface | Remeshing, most: int = 0) -> int:
     """Room for the vertices, for half as many faces and a third as many edges."""
-    faces = len(surface.faces)
-    edges = (3 * faces + int(surface.fixed.sum())) // 2
-    needed = max(len(surface.vertices), faces // 2 + 1, edges // 3 + 1, most)
+    faces = len(mesh.faces)
+    edges = (3 * faces + int(mesh.fixed.sum())) // 2
+    needed = max(len(mesh.fixed), faces // 2 + 1, edges // 3 + 1, most)
     return capacity_for(needed, 256)
 
 
@@ -128,20 +131,21 @@ def reset_springs(membrane: Membrane) -> Membrane:
     return eqx.tree_at(lambda m: m.rest_length, membrane, _edge_length(membrane))
 
 
-def _at_rest(vertices: Float[Array, "m 3"], surface: Surface) -> Membrane:
+def _at_rest(vertices: Float[Array, "m 3"], mesh: Surface | Remeshing) -> Membrane:
+    """A membrane with these vertices and the connectivity of the mesh."""
     capacity = vertices.shape[0]
-    topology = build_topology(surface.faces, len(surface.vertices))
+    topology = build_topology(mesh.faces, len(mesh.fixed))
     edges = topology.edges
-    faces = len(surface.faces)
+    faces = len(mesh.faces)
     membrane = Membrane(
         vertices=vertices,
-        faces=jnp.asarray(_padded(surface.faces, 2 * capacity)),
-        edges=jnp.asarray(_padded(edges, 3 * capacity)),
+        faces=jnp.asarray(padded(mesh.faces, 2 * capacity)),
+        edges=jnp.asarray(padded(edges, 3 * capacity)),
         rest_length=jnp.zeros(3 * capacity, vertices.dtype),
-        vertex_alive=jnp.asarray(np.arange(capacity) < len(surface.vertices)),
+        vertex_alive=jnp.asarray(np.arange(capacity) < len(mesh.fixed)),
         face_alive=jnp.asarray(np.arange(2 * capacity) < faces),
         edge_alive=jnp.asarray(np.arange(3 * capacity) < len(edges)),
-        pinned=jnp.asarray(_padded(surface.fixed, capacity)),
-        source=jnp.asarray(surface.source),
+        pinned=jnp.asarray(padded(mesh.fixed, capacity)),
+        source=jnp.asarray(mesh.source),
     )
     return reset_springs(membrane)

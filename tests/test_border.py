@@ -9,13 +9,16 @@ from jaxgrow.border import (
     Beside,
     beside_patch,
     Border,
+    border_of,
     feeling,
     FELT,
     SHARE,
 )
+from jaxgrow.equilibrium.relax import Relaxation
 from jaxgrow.mesh.sheet import Walls
 from jaxgrow.mesh.surface import Surface
-from jaxgrow.state import Species
+from jaxgrow.results import Result
+from jaxgrow.state import Nodes, Species
 from jaxgrow.transfer import put_particles
 
 
@@ -23,8 +26,9 @@ PLACES = np.array([[5.0, 0.0, 0.0], [0.0, 5.0, 0.0], [0.0, 0.0, -3.0]])
 
 
 def border(force=None):
-    force = np.zeros((3, 3)) if force is None else np.asarray(force)
-    return Border(np.array([7, 9, -1]), PLACES, force)
+    """Two vertices of the rim and a held particle, with the force on that."""
+    force = np.zeros(3) if force is None else np.asarray(force, float)
+    return Border(PLACES[:2], PLACES[2:], force[None])
 
 
 NOBODY = Beside(np.zeros((0, 3)))
@@ -66,19 +70,31 @@ def test_tumour_that_presses_on_the_border_is_felt_where_it_does():
 @pytest.mark.parametrize("factor, feels", [(0.99, False), (1.01, True)])
 @pytest.mark.parametrize("before", [0.1, 4.0])
 def test_force_on_held_tissue_is_felt_above_a_bound(factor, feels, before):
-    start = np.array([[1.0, 0, 0], [0, 2.0, 0], [0, 0, before]])
-    now = start.copy()
-    now[2, 0] = factor * max(FELT, SHARE * before)
+    start = np.array([0, 0, before])
+    now = start + np.array([factor * max(FELT, SHARE * before), 0, 0])
     found = felt(border(now), border(start), tumour_at([0.0, 0.0, 0.0]))
-    assert found.force == pytest.approx(now[2, 0])
+    assert found.force == pytest.approx(now[0])
     assert (found.place is not None) == feels
     if feels:
         np.testing.assert_array_equal(found.place, PLACES[2])
 
 
-def test_pull_of_the_springs_on_the_rim_does_not_count():
-    now = np.array([[9.0, 0, 0], [0, 9.0, 0], [0, 0, 0]])
-    assert felt(border(now), border(), tumour_at([0.0, 0.0, 0.0])).place is None
+def test_pull_of_the_springs_on_the_rim_does_not_count(tiny_polyp):
+    state = tiny_polyp.state
+    force = jnp.where(state.membrane.pinned[:, None], 9.0, 0.0)
+    force = force * jnp.ones_like(state.membrane.vertices)
+    nothing = jnp.zeros_like(state.particles.position)
+
+    def after(on_vertices):
+        forces = Nodes(nothing, on_vertices)
+        both = (state.particles, state.membrane)
+        return border_of(Relaxation(both, Result.CONVERGED, None, None, forces))
+
+    now, before = after(force), after(jnp.zeros_like(force))
+    assert len(now.rim) == int(state.membrane.pinned.sum()) > 0
+    assert len(now.held) == int(state.particles.held.sum()) > 0
+    found = felt(now, before, tumour_at([0.0, 0.0, 0.0]))
+    assert found.force == 0
 
 
 def patch_with_a_wall():

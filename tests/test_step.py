@@ -1,13 +1,15 @@
 """One iteration: what is mended, and what comes back when it cannot be."""
 
 import sys
+from dataclasses import replace
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrow import border, step as module
+from jaxgrow import border, settling as module, step
 from jaxgrow.audit import audit
 from jaxgrow.clock import Clock
 from jaxgrow.grow import grow
@@ -18,8 +20,9 @@ from jaxgrow.planting import plant
 from jaxgrow.report import make_report
 from jaxgrow.results import Result
 from jaxgrow.scene import Myoma, Polyp, Scene, Surroundings
+from jaxgrow.settling import bound_on_quality, LEAST_QUALITY, Step
 from jaxgrow.state import Species
-from jaxgrow.step import iterate, Step
+from jaxgrow.step import iterate
 from jaxgrow.transfer import get, get_surface
 
 
@@ -56,7 +59,7 @@ def usual(planted):
 
 def test_usual_iteration_needs_no_mending(usual):
     assert usual.result is Result.CONVERGED
-    assert usual.mended == {}
+    assert usual.settled.mended == {}
     assert usual.felt.place is None
 
 
@@ -76,8 +79,8 @@ def test_fairing_that_would_intersect_is_rejected(planted, usual, monkeypatch):
     monkeypatch.setattr(module, "fair", bad)
     found = one(planted)
     assert found.result is Result.CONVERGED
-    assert found.mended == {"fairing_rejected": 1}
-    before = get_surface(found.adapted.state.membrane)
+    assert found.settled.mended == {"fairing_rejected": 1}
+    before = get_surface(found.settled.adapted.state.membrane)
     after = get_surface(found.step.state.membrane)
     np.testing.assert_array_equal(after.vertices, before.vertices)
     np.testing.assert_array_equal(after.faces, before.faces)
@@ -103,20 +106,20 @@ def test_fairing_that_would_sweep_over_a_particle_is_rejected(planted, monkeypat
         return new, Remeshing.unchanged(surface)
 
     monkeypatch.setattr(module, "fair", bad)
-    assert one(planted).mended == {"fairing_rejected": 1}
+    assert one(planted).settled.mended == {"fairing_rejected": 1}
 
 
 def test_equilibrium_that_intersects_is_no_step(planted, monkeypatch):
     real = module.adapt_tissue_and_surface
     seen = []
 
-    def one_pair(*args):
-        return np.zeros((1, 2), int)
+    def always(*args):
+        return True
 
     def through_itself(state, *rest, colliding, **more):
         seen.append(colliding)
         adapted = real(state, *rest, colliding=colliding, **more)
-        monkeypatch.setattr(module, "_intersections", one_pair)
+        monkeypatch.setattr(module, "_intersects", always)
         return adapted
 
     monkeypatch.setattr(module, "adapt_tissue_and_surface", through_itself)
@@ -125,6 +128,25 @@ def test_equilibrium_that_intersects_is_no_step(planted, monkeypatch):
     assert found.step is planted
     # it was tried again with the energy of collisions
     assert seen == [False, True]
+
+
+def test_surface_with_a_triangle_of_too_little_quality_is_no_step(planted, usual):
+    quality = usual.settled.quality
+    assert LEAST_QUALITY < quality < 1
+    found = one(replace(planted, least_quality=1.01 * quality))
+    assert found.result is Result.SLIVER
+    assert found.step.state is planted.state
+    assert one(replace(planted, least_quality=0.99 * quality)).result.success
+
+
+def test_slivers_of_the_organ_lower_what_is_asked_for(planted):
+    assert bound_on_quality(planted.state) == LEAST_QUALITY
+    membrane = planted.state.membrane
+    a, b, c = get(membrane.faces)[0]
+    corners = get(membrane.vertices)[[a, b]]
+    flat = membrane.vertices.at[c].set(corners.mean(axis=0) + 1e-4)
+    worse = eqx.tree_at(lambda s: s.membrane.vertices, planted.state, flat)
+    assert 0 < bound_on_quality(worse) < 1e-4
 
 
 def test_collisions_join_as_soon_as_sheets_come_near(planted, usual, monkeypatch):
@@ -136,7 +158,7 @@ def test_collisions_join_as_soon_as_sheets_come_near(planted, usual, monkeypatch
     monkeypatch.setattr(adaptation.CollisionFinder, "gap", near)
     found = one(planted)
     assert found.result is Result.CONVERGED
-    assert found.mended == {"collisions_joined": 1}
+    assert found.settled.mended == {"collisions_joined": 1}
     assert found.step.colliding
     # there was nothing to collide with: the same equilibrium
     np.testing.assert_allclose(
@@ -198,7 +220,7 @@ def test_patch_that_cannot_be_enlarged_ends_the_growth(
     def nothing_left(*args, **more):
         raise OrganError("the organ has no more surface.")
 
-    monkeypatch.setattr(module, "enlarge_ground", nothing_left)
+    monkeypatch.setattr(step, "enlarge_ground", nothing_left)
     ended = grow(NARROW, tolerance=TOLERANCE)
     assert ended.result is Result.PATCH_TOO_SMALL
     assert audit(ended).clean

@@ -22,6 +22,26 @@ COINCIDENT = 1e-6
 """Particles nearer to each other than this (in r0) repel each other by luck only."""
 
 
+def coned(
+    vertices: Float[np.ndarray, "m 3"],
+    faces: Int[np.ndarray, "f 3"],
+    apex: Float[np.ndarray, "3"],
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "g 3"]]:
+    """A surface closed by a cone from its rim to a point."""
+    start, end = rim(faces)
+    cone = np.column_stack([end, start, np.full(len(start), len(vertices))])
+    return np.concatenate([vertices, apex[None]]), np.concatenate([faces, cone])
+
+
+def rim(faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "2 e"]:
+    """Start and end of every side of a face that no other face runs back."""
+    half = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    start, end = half.T
+    count = faces.max() + 1
+    alone = ~np.isin(start * count + end, end * count + start)
+    return half[alone].T
+
+
 def closed(
     vertices: Float[np.ndarray, "m 3"], faces: Int[np.ndarray, "f 3"]
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "g 3"]]:
@@ -30,9 +50,7 @@ def closed(
     With the sheet's normals up, those of the body point outwards. The skirt is the rim
     stretched along x and y, so that who leaves sideways has not crossed anything.
     """
-    half = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    known = {tuple(edge) for edge in half.tolist()}
-    start, end = np.array([e for e in half if (e[1], e[0]) not in known]).T
+    start, end = rim(faces)
     count = len(vertices)
     low, high = vertices[start].min(axis=0), vertices[start].max(axis=0)
     centre = (low + high) / 2
@@ -40,15 +58,15 @@ def closed(
     outer[:, :2] -= centre[:2]
     outer[:, :2] *= SKIRT / ((high - low) / 2)[:2]
     outer[:, :2] += centre[:2]
-    apex = centre - [0.0, 0.0, FAR_BELOW]
-    corner = np.full(len(start), 2 * count)
-    around = [
+    skirt = [
         np.column_stack([end, start, start + count]),
         np.column_stack([end, start + count, end + count]),
-        np.column_stack([end + count, start + count, corner]),
     ]
-    points = np.concatenate([vertices, outer, apex[None]])
-    return points, np.concatenate([faces, *around])
+    return coned(
+        np.concatenate([vertices, outer]),
+        np.concatenate([faces, *skirt]),
+        apex=centre - [0.0, 0.0, FAR_BELOW],
+    )
 
 
 def coincident(position: Float[np.ndarray, "n 3"]) -> int:

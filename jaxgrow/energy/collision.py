@@ -38,7 +38,6 @@ from jaxgrow.energy.smooth_minimum import smooth_minimum
 from jaxgrow.numerics import safe_norm
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Membrane
-from jaxgrow.types import Scalar
 
 
 LOCAL = 3.0
@@ -153,8 +152,3 @@ def collision_clearances(
     clear = clear.at[collisions.vertex].min(vertex, mode="drop")
     clear = clear.at[collisions.corners].min(vertex[:, None], mode="drop")
     return clear.at[collisions.edges].min(edge[:, None], mode="drop")
-
-
-def collision_reach(parameters: Parameters) -> Scalar:
-    """Distance, in r0, from which on no parts of the surface interact."""
-    return parameters.collision_range

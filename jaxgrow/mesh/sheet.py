@@ -157,10 +157,8 @@ def encounters(sheet: Sheet, *, apart: float, local: float, along: float) -> Enc
     Returns:
         All pairs, by exact distance.
     """
-    edges = build_topology(sheet.faces, len(sheet.vertices)).edges
-    ends = sheet.vertices[edges]
-    length = lengths(ends[:, 1] - ends[:, 0])
-    joined = _joined(sheet, along)
+    edges, length = _edges(sheet)
+    joined = _joined(sheet, edges, length, along)
     reach = max(apart, local)
 
     vertex, face = _vertex_face_candidates(sheet, reach)
@@ -174,7 +172,7 @@ def encounters(sheet: Sheet, *, apart: float, local: float, along: float) -> Enc
     order = np.flatnonzero(keep)
     order = order[np.argsort(vertex[order], kind="stable")]
 
-    first, second = _edge_candidates(ends, length, reach)
+    first, second = _edge_candidates(sheet.vertices[edges], length, reach)
     four = np.concatenate([edges[first], edges[second]], axis=1)
     near = ~(four[:, :2, None] == four[:, None, 2:]).any(axis=(1, 2))
     near &= sheet.moving[four].any(axis=1)
@@ -210,7 +208,7 @@ def nearest_apart(sheet: Sheet, *, within: float, along: float) -> float:
     vertex, face = _vertex_face_candidates(sheet, within)
     corners = sheet.faces[face]
     near = sheet.moving[vertex] | sheet.moving[corners].any(axis=1)
-    joined = _joined(sheet, along)
+    joined = _joined(sheet, *_edges(sheet), along)
     near &= ~joined[vertex[:, None], corners].any(axis=1)
     vertex, corners = vertex[near], corners[near]
     distance, _ = closest_on_triangles(sheet.vertices[vertex], sheet.vertices[corners])
@@ -218,10 +216,21 @@ def nearest_apart(sheet: Sheet, *, within: float, along: float) -> float:
     return least if least < within else float("inf")
 
 
-def _joined(sheet: Sheet, along: float) -> Bool[np.ndarray, "m m"]:
-    """Which vertices a path over edges joins that is not longer than a bound."""
+def _edges(
+    sheet: Sheet,
+) -> tuple[Int[np.ndarray, "e 2"], Float[np.ndarray, " e"]]:
+    """All edges, and their lengths."""
     edges = build_topology(sheet.faces, len(sheet.vertices)).edges
-    length = lengths(sheet.vertices[edges[:, 1]] - sheet.vertices[edges[:, 0]])
+    return edges, lengths(sheet.vertices[edges[:, 1]] - sheet.vertices[edges[:, 0]])
+
+
+def _joined(
+    sheet: Sheet,
+    edges: Int[np.ndarray, "e 2"],
+    length: Float[np.ndarray, " e"],
+    along: float,
+) -> Bool[np.ndarray, "m m"]:
+    """Which vertices a path over edges joins that is not longer than a bound."""
     graph = coo_array(
         (length, (edges[:, 0], edges[:, 1])), shape=(len(sheet.vertices),) * 2
     ).tocsr()

@@ -2,7 +2,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from jaxgrow.organ.implicit import round_cone
 from jaxgrow.organ.organ import Organ
+from jaxgrow.organ.tessellation import tessellate
 from jaxgrow.organ.uterus import uterus
 
 
@@ -24,3 +26,17 @@ def ball():
 def bubble(ball):
     """The same sphere as a lumen, tissue outside."""
     return Organ("bubble", ball.vertices, ball.faces, "outside", ball.sites)
+
+
+@pytest.fixture(scope="session")
+def tube():
+    """A long capsule of radius 5 mm along z."""
+    ends = np.array([[0.0, 0.0, -30.0], [0.0, 0.0, 30.0]])
+    vertices, faces = tessellate(
+        lambda points: round_cone(points, ends[0], ends[1], 5.0, 5.0),
+        np.array([-7.0, -7.0, -37.0]),
+        np.array([7.0, 7.0, 37.0]),
+        1.5,
+        np.random.default_rng(0),
+    )
+    return Organ("tube", vertices, faces)

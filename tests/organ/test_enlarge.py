@@ -21,8 +21,6 @@ from jaxgrow.organ import (
     OrganError,
     widen_patch,
 )
-from jaxgrow.organ.implicit import round_cone
-from jaxgrow.organ.tessellation import tessellate
 
 
 GAP, HOLD, THICK = 0.7, 1.0, 3.0
@@ -353,20 +351,6 @@ def test_a_particle_on_a_surface_far_from_the_origin_is_treated_alike(bubble):
         other.lining.surface.vertices, one.lining.surface.vertices
     )
     assert len(other.tissue.points) == pytest.approx(len(one.tissue.points), rel=0.02)
-
-
-@pytest.fixture(scope="module")
-def tube():
-    """A long capsule of radius 5 mm along z."""
-    ends = np.array([[0.0, 0.0, -30.0], [0.0, 0.0, 30.0]])
-    vertices, faces = tessellate(
-        lambda points: round_cone(points, ends[0], ends[1], 5.0, 5.0),
-        np.array([-7.0, -7.0, -37.0]),
-        np.array([7.0, 7.0, 37.0]),
-        1.5,
-        np.random.default_rng(0),
-    )
-    return Organ("tube", vertices, faces)
 
 
 def test_an_enlargement_may_close_round_a_tube_and_then_has_two_rims(tube):

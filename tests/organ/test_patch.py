@@ -4,26 +4,10 @@ import pytest
 from jaxgrow.mesh.quality import area_vectors
 from jaxgrow.mesh.topology import build_topology, euler_number, is_manifold
 from jaxgrow.organ import cut_patch, locate_site, Organ, OrganError
-from jaxgrow.organ.implicit import round_cone
 from jaxgrow.organ.patch import distances_along
-from jaxgrow.organ.tessellation import tessellate
 
 
 SITES = ["fundus", "left-cornu", "anterior", "left-wall", "cervix"]
-
-
-@pytest.fixture(scope="module")
-def tube():
-    """A long capsule of radius 5 mm along z."""
-    ends = np.array([[0.0, 0.0, -30.0], [0.0, 0.0, 30.0]])
-    vertices, faces = tessellate(
-        lambda points: round_cone(points, ends[0], ends[1], 5.0, 5.0),
-        np.array([-7.0, -7.0, -37.0]),
-        np.array([7.0, 7.0, 37.0]),
-        1.5,
-        np.random.default_rng(0),
-    )
-    return Organ("tube", vertices, faces)
 
 
 @pytest.mark.parametrize("name", SITES)
