@@ -1,0 +1,7 @@
+"""Metrics of a lesion's shape, as differentiable scalars with units."""
+
+from jaxgrow.metrics.elevation import height_above as height_above
+from jaxgrow.metrics.shape import (
+    shape_metrics as shape_metrics,
+    ShapeMetrics as ShapeMetrics,
+)
