@@ -13,6 +13,10 @@ from typing import Any, TYPE_CHECKING
 if TYPE_CHECKING:
     from jaxgrow.audit import Audit as Audit, audit as audit
     from jaxgrow.energy.a2 import A2 as A2
+    from jaxgrow.equilibrium.compliance import (
+        linear_response as linear_response,
+        LinearResponse as LinearResponse,
+    )
     from jaxgrow.equilibrium.relax import relax as relax, Relaxation as Relaxation
     from jaxgrow.grow import grow as grow
     from jaxgrow.growth import Growth as Growth, Progress as Progress
@@ -56,6 +60,7 @@ _HOME = {
     "A2": "energy.a2",
     "Audit": "audit",
     "Growth": "growth",
+    "LinearResponse": "equilibrium.compliance",
     "Membrane": "state",
     "Myoma": "scene",
     "Organ": "organ.organ",
@@ -75,6 +80,7 @@ _HOME = {
     "audit": "audit",
     "audit_run": "run_folder",
     "grow": "grow",
+    "linear_response": "equilibrium.compliance",
     "load_organ": "organ.loading",
     "load_scene": "scene",
     "make_scene": "scene",

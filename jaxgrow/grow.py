@@ -1,7 +1,7 @@
 """Growth: iterate until the lesion has its size, or cannot (paper §4)."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,16 +9,20 @@ from jaxtyping import Float
 
 from jaxgrow.clock import Clock
 from jaxgrow.compilations import count_compilations
-from jaxgrow.growth import Event, Growth, Progress
+from jaxgrow.equilibrium.implicit import is_differentiated
+from jaxgrow.equilibrium.relax import exact_tolerance
+from jaxgrow.events import Event, Events, Start
+from jaxgrow.growth import Growth, Progress
 from jaxgrow.lesion import size_of
 from jaxgrow.parameters import Parameters
-from jaxgrow.planting import plant
+from jaxgrow.planting import plant, Planted
+from jaxgrow.record import add_feeling, make_progress, make_record
+from jaxgrow.replay import numbers, plant_again, replay, tolerance_of_replay
 from jaxgrow.results import Result
 from jaxgrow.scene import Polyp, Scene
-from jaxgrow.settling import bound_on_quality, Step
-from jaxgrow.state import Species
-from jaxgrow.step import enlarge_patch, is_below, iterate, Iteration
-from jaxgrow.transfer import get
+from jaxgrow.settling import Step
+from jaxgrow.step import enlarge_patch, first_step, is_below, iterate, Iteration
+from jaxgrow.transfer import get_positions
 
 
 ENLARGEMENTS = 5
@@ -37,10 +41,11 @@ def grow(
     *,
     seed: int = 0,
     parameters: Parameters | None = None,
-    tolerance: float = 1e-3,
+    tolerance: float | None = None,
     max_divisions: int = 3000,
     max_seconds: float | None = None,
     progress: Callable[[Progress], None] | None = None,
+    events: Events | None = None,
 ) -> Growth:
     """Grow a lesion until it has the size, or the number of divisions, asked for.
 
@@ -54,14 +59,29 @@ def grow(
     sheets that meet begin to repel each other; a patch that feels the lesion is
     enlarged. `Growth.mended` counts it. Otherwise the growth ends with its name.
 
+    *Derivatives.* `jax.grad` and `jax.jvp` of any function of the state go through
+    all of it, with respect to the parameters. The discrete choices (who divides, which
+    edge is split, which packing an equilibrium is in) are frozen, and each equilibrium
+    has its implicit derivative (`jaxgrow.relax`), for which it is relaxed to 1e-10 at
+    least. `events` replays the choices of a growth: with its parameters bit for bit,
+    with others as the frozen path along which the derivative is taken.
+
+    *Gradient behaviour.* The choices do change with the parameters, so the response of
+    a growth is piecewise smooth: the gradient is that of the piece. A growth of many
+    divisions responds to a parameter by another packing as much as by the slope of
+    this one; average over seeds before you trust a direction.
+
     Args:
         scene: what to grow, and where.
         seed: of all random choices; the same seed gives the same growth.
         parameters: of the mechanics, instead of the scene's.
-        tolerance: largest force left in every equilibrium, in F(0).
+        tolerance: largest force left in every equilibrium, in F(0); 1e-3 if None, or
+            that of the growth whose events are replayed.
         max_divisions: bound on the divisions, for a size that is never reached.
         max_seconds: bound on the time; checked between divisions.
         progress: called after every division.
+        events: of a growth to replay; then seed and bounds do not matter. Record it at
+            `tolerance=1e-10` if you replay it with other parameters.
 
     Returns:
         The growth. Its result is REACHED, or says why it ended before that, with the
@@ -72,7 +92,8 @@ def grow(
 
     Raises:
         OrganError: the organ or the site cannot be used.
-        ValueError: JAX computes in 32 bits, or the tolerance is not positive.
+        ValueError: JAX computes in 32 bits, the tolerance is not positive, or the
+            events are those of another scene.
     """
     if jnp.zeros(()).dtype != jnp.float64:
         raise ValueError(
@@ -83,70 +104,125 @@ def grow(
     if max_seconds is not None and not max_seconds > 0:
         raise ValueError(f"max_seconds is {max_seconds}; it must be positive.")
     parameters = parameters or scene.parameters
-    rng = np.random.default_rng(seed)
     clock = Clock()
     with count_compilations() as compilations:
-        with clock.phase("plant"):
-            planted = plant(scene, parameters, tolerance=tolerance, rng=rng)
-        lists, result = None, Result.CONVERGED
-        if planted.outcome is not None:
-            lists, result = planted.outcome.lists, planted.outcome.result
-        step = Step(
-            planted.state,
-            planted.organ_index,
-            lists,
-            planted.ground,
-            border=planted.border,
-            least_quality=bound_on_quality(planted.state),
-        )
-        events: list[Event] = []
-        history: list[dict[str, Any]] = []
-        size = size_of(scene, step.state) * scene.r0_mm
-        while result is Result.CONVERGED:
-            result = end_of(scene, size, len(events), history, max_divisions)
-            if result is not Result.CONVERGED:
-                break
-            if max_seconds is not None and clock.elapsed > max_seconds:
-                result = Result.TIME_LIMIT
-                break
-            made = iterate(scene, step, parameters, tolerance, rng, clock)
-            step, result = made.step, made.result
-            number = len(events) + 1
-            if result is Result.CONVERGED:
-                events.append(made.event)
-                with clock.phase("measure"):
-                    size = size_of(scene, step.state) * scene.r0_mm
-            elif result is Result.STEP_LIMIT and _stagnates(history, STAGNATION // 2):
-                result = Result.CAVITY_FULL
-            record = _record(number, size, made, clock)
-            place = _tight_place(scene, made, history)
-            if place is not None:
-                wider = enlarge_patch(
-                    scene, step, parameters, tolerance, rng, place, clock
-                )
-                result = Result.CONVERGED
-                if isinstance(wider, Result):
-                    result = wider
-                else:
-                    step = wider
-                    record["mended"] = {**record["mended"], "patch_enlarged": 1}
-            history.append(record)
-            if progress is not None:
-                progress(_progress(scene, record, clock))
+        if events is None:
+            tolerance = 1e-3 if tolerance is None else tolerance
+            if is_differentiated(parameters):
+                tolerance = min(tolerance, exact_tolerance())
+            limits = Limits(max_divisions, max_seconds)
+            step, events, history = _grow(
+                scene, seed, parameters, tolerance, limits, clock, progress
+            )
+            result = events.result
+        else:
+            tolerance = tolerance_of_replay(events, parameters, tolerance)
+            with clock.phase("plant"):
+                planted = plant_again(scene, events, parameters, tolerance)
+            step, history, result = replay(
+                scene, events, planted, parameters, tolerance, clock, progress
+            )
     return Growth(
         scene=scene,
         seed=seed,
         tolerance=tolerance,
         state=step.state,
         result=result,
-        size_mm=size,
-        events=tuple(events),
+        size_mm=size_of(scene, step.state) * scene.r0_mm,
+        events=events,
         history=tuple(history),
         seconds=dict(clock.total),
         compilations=compilations.count,
         ground=step.ground,
         organ_index=step.organ_index,
     )
+
+
+class Limits(NamedTuple):
+    """Where a growth ends if its lesion never has its size.
+
+    Attributes:
+        divisions: at most.
+        seconds: at most; None for no bound.
+    """
+
+    divisions: int
+    seconds: float | None
+
+
+def _grow(
+    scene: Scene,
+    seed: int,
+    parameters: Parameters,
+    tolerance: float,
+    limits: Limits,
+    clock: Clock,
+    progress: Callable[[Progress], None] | None,
+) -> tuple[Step, Events, list[dict[str, Any]]]:
+    """The last step, the choices with the result, and a record of every division."""
+    rng = np.random.default_rng(seed)
+    with clock.phase("plant"):
+        planted = plant(scene, parameters, tolerance=tolerance, rng=rng)
+    step, result = first_step(planted), Result.CONVERGED
+    if planted.outcome is not None:
+        result = planted.outcome.result
+    start, events = _start(planted), list[Event]()
+    history: list[dict[str, Any]] = []
+    size = size_of(scene, step.state) * scene.r0_mm
+    while result is Result.CONVERGED:
+        result = end_of(scene, size, len(events), history, limits.divisions)
+        if result is not Result.CONVERGED:
+            break
+        if limits.seconds is not None and clock.elapsed > limits.seconds:
+            result = Result.TIME_LIMIT
+            break
+        made = iterate(scene, step, parameters, tolerance, rng, clock)
+        step, result, number = made.step, made.result, len(events) + 1
+        if result is Result.CONVERGED:
+            events.append(made.event)
+            with clock.phase("measure"):
+                size = size_of(scene, step.state) * scene.r0_mm
+        elif result is Result.STEP_LIMIT and _stagnates(history, STAGNATION // 2):
+            result = Result.CAVITY_FULL
+        record = make_record(number, size, step.state, made.settled, clock)
+        add_feeling(record, made.felt)
+        record["result"] = made.result.name
+        place = _tight_place(scene, made, history)
+        if place is not None:
+            wider = enlarge_patch(scene, step, parameters, tolerance, rng, place, clock)
+            result = Result.CONVERGED
+            if isinstance(wider, Result):
+                result = wider
+            else:
+                step, widening = wider
+                last = events[-1] if events else start
+                last = last._replace(widenings=(*last.widenings, widening))
+                if isinstance(last, Event):
+                    events[-1] = last
+                else:
+                    start = last
+                record["mended"]["patch_enlarged"] = 1
+        history.append(record)
+        if progress is not None:
+            progress(make_progress(scene, record, clock))
+    recorded = Events(
+        start,
+        tuple(events),
+        numbers(parameters),
+        tolerance,
+        scene.lesion.kind,
+        scene.r0_mm,
+        result,
+    )
+    return step, recorded, history
+
+
+def _start(planted: Planted) -> Start:
+    """What to keep of the start for a replay."""
+    if planted.layout is None:
+        return Start(None, None)
+    positions = get_positions(planted.state.particles, planted.state.membrane)
+    return Start(planted.layout, positions)
 
 
 def _tight_place(
@@ -200,46 +276,3 @@ def _stagnates(history: list[dict[str, Any]], window: int) -> bool:
     before = max(record["size_mm"] for record in history[:-window])
     stuck = max(record["size_mm"] for record in recent) <= ENLARGING * before
     return stuck and all(record.get("colliding") for record in recent)
-
-
-def _record(
-    division: int, size: float, made: Iteration, clock: Clock
-) -> dict[str, Any]:
-    """What is written about one division."""
-    particles, membrane = made.step.state.particles, made.step.state.membrane
-    stats = made.settled.adapted.relaxation.stats
-    alive = get(particles.alive)
-    record: dict[str, Any] = {
-        "division": division,
-        "size_mm": size,
-        "residual": stats.residual,
-        "steps": stats.steps,
-        "method": stats.method,
-        "result": made.result.name,
-        "particles": int(alive.sum()),
-        "tumour": int((alive & (get(particles.species) == Species.TUMOUR)).sum()),
-    }
-    if membrane is not None:
-        record["vertices"] = int(get(membrane.vertex_alive).sum())
-        record["faces"] = int(get(membrane.face_alive).sum())
-        record["colliding"] = made.settled.adapted.colliding
-        record["quality"] = made.settled.quality
-    if made.felt is not None:
-        record["border_force"] = made.felt.force
-        record["border_distance"] = made.felt.distance
-    if made.event.remeshing is not None:
-        record["operations"] = dict(made.event.remeshing.counts)
-    record["mended"] = made.settled.mended
-    record["seconds"] = clock.lap()
-    return record
-
-
-def _progress(scene: Scene, record: dict[str, Any], clock: Clock) -> Progress:
-    return Progress(
-        divisions=record["division"],
-        size_mm=record["size_mm"],
-        target_mm=scene.lesion.target_mm,
-        target_divisions=scene.lesion.divisions,
-        residual=record["residual"],
-        seconds=clock.elapsed,
-    )

@@ -7,9 +7,8 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from jaxgrow.division import Division
+from jaxgrow.events import Events
 from jaxgrow.lesion import lesion_vertices
-from jaxgrow.mesh.surface import Remeshing
 from jaxgrow.organ import merge, Merged, Organ, Site
 from jaxgrow.planting import Ground
 from jaxgrow.results import Result
@@ -20,18 +19,6 @@ from jaxgrow.transfer import get, get_particles, get_surface
 
 if TYPE_CHECKING:
     import trimesh
-
-
-class Event(NamedTuple):
-    """The discrete choices of one growth step.
-
-    Attributes:
-        division: who divided, and where to.
-        remeshing: what fairing did; None without a membrane.
-    """
-
-    division: Division
-    remeshing: Remeshing | None
 
 
 class Progress(NamedTuple):
@@ -65,7 +52,7 @@ class Growth:
         state: at the end; lengths in r0.
         result: why it ended.
         size_mm: largest diameter of the lesion.
-        events: the discrete choices of every step.
+        events: the discrete choices of every step; `jaxgrow.grow` can replay them.
         history: one record a division: size, steps, residual, counts, seconds, …
         seconds: by phase.
         compilations: number of programs compiled.
@@ -79,7 +66,7 @@ class Growth:
     state: State
     result: Result
     size_mm: float
-    events: tuple[Event, ...]
+    events: Events
     history: tuple[dict[str, Any], ...]
     seconds: dict[str, float]
     compilations: int

@@ -21,17 +21,21 @@ from jaxgrow.organ import (
     Organ,
     Patch,
     Site,
+    Tissue,
     uterus,
     walls_around,
 )
 from jaxgrow.parameters import Parameters
 from jaxgrow.scene import Myoma, Scene, SceneError
-from jaxgrow.state import FormerSurface, Frame, Membrane, Species, State
+from jaxgrow.state import FormerSurface, Frame, Species, State
 from jaxgrow.transfer import (
     get,
+    get_number,
     get_surface,
+    Positions,
     put_membrane,
     put_particles,
+    put_positions,
     reset_springs,
 )
 
@@ -65,22 +69,49 @@ class Ground:
 
 
 @dataclass(frozen=True, eq=False)
+class Layout:
+    """Patch and tissue before they are relaxed, on the host.
+
+    Attributes:
+        ground: what is around.
+        surface: of the patch, with the source of a polyp.
+        organ_index: of each of its vertices the organ's vertex that it is, or -1.
+        tissue: the particles.
+        species: of each of them.
+    """
+
+    ground: Ground
+    surface: Surface
+    organ_index: Int[np.ndarray, " m"]
+    tissue: Tissue
+    species: Int[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, eq=False)
 class Planted:
     """The start of a growth.
 
     Attributes:
         state: relaxed, springs at rest.
-        ground: None for a free cluster.
-        organ_index: for each membrane vertex the organ's vertex that it is, or -1.
+        layout: None for a free cluster.
         outcome: of the relaxation of the tissue; None for a free cluster.
         border: what is held around the patch; None for a free cluster.
     """
 
     state: State
-    ground: Ground | None
-    organ_index: Int[np.ndarray, " m"]
+    layout: Layout | None
     outcome: Relaxation | None
     border: Border | None
+
+    @property
+    def ground(self) -> Ground | None:
+        """What is around; None for a free cluster."""
+        return None if self.layout is None else self.layout.ground
+
+    @property
+    def organ_index(self) -> Int[np.ndarray, " m"]:
+        """Of each vertex the organ's vertex that it is, or -1."""
+        return np.zeros(0, int) if self.layout is None else self.layout.organ_index
 
 
 def find_organ(scene: Scene) -> Organ | None:
@@ -114,12 +145,17 @@ def plant(
     """
     organ = find_organ(scene)
     if organ is None:
-        return _plant_free(scene)
+        return plant_free(scene)
     site = locate_site(organ, scene.lesion.site)
-    return _plant_in(scene, organ, site, parameters, tolerance, rng)
+    layout = lay_out(scene, organ, site, get_number(parameters.contact_range), rng)
+    planted = plant_layout(scene, layout, parameters, tolerance)
+    if scene.lesion.target_mm is not None:
+        check_lift(planted.state, scene.surroundings.density)
+    return planted
 
 
-def _plant_free(scene: Scene) -> Planted:
+def plant_free(scene: Scene) -> Planted:
+    """The start of a free cluster: one particle."""
     divisions = scene.lesion.divisions
     spare = SPARE if divisions is None else divisions
     particles = put_particles(
@@ -129,7 +165,7 @@ def _plant_free(scene: Scene) -> Planted:
         jnp.zeros(3), jnp.array([0.0, 0.0, 1.0]), jnp.asarray(scene.r0_mm), None
     )
     state = State(particles, None, frame)
-    return Planted(state, None, np.zeros(0, int), None, None)
+    return Planted(state, None, None, None)
 
 
 def _extent(scene: Scene) -> tuple[float, float]:
@@ -157,12 +193,15 @@ def _rounded(count: int) -> int:
     return -(-count // SPARE) * SPARE
 
 
-def check_lift(membrane: Membrane, former: FormerSurface, density: float) -> None:
+def check_lift(state: State, density: float) -> None:
     """Refuse tissue that lifts the surface before anything has grown.
 
     Raises:
         SceneError: a lesion's size would be that of the lift.
     """
+    membrane, former = state.membrane, state.frame.former
+    assert membrane is not None
+    assert former is not None
     surface = get_surface(membrane)
     height = height_above(surface.vertices, get(former.vertices), get(former.faces))
     if height.max() > RAISED:
@@ -190,14 +229,14 @@ def depth_of(lesion: Myoma, r0_mm: float) -> float:
     return 2.0 if target is None else 0.25 * target / r0_mm
 
 
-def _plant_in(
+def lay_out(
     scene: Scene,
     organ: Organ,
     site: Site,
-    parameters: Parameters,
-    tolerance: float,
+    contact_range: float,
     rng: np.random.Generator,
-) -> Planted:
+) -> Layout:
+    """Cut the patch out of the organ, and fill in the tissue under it."""
     around, r0_mm = scene.surroundings, scene.r0_mm
     radius, thickness = _extent(scene)
     patch = cut_patch(organ, site, radius * r0_mm, r0_mm=r0_mm)
@@ -210,7 +249,7 @@ def _plant_in(
         spacing=1.0,
         density=around.density,
         thickness=thickness,
-        gap=float(parameters.contact_range),
+        gap=contact_range,
         hold=HOLD,
         rng=rng,
     )
@@ -224,22 +263,44 @@ def _plant_in(
         inner = np.flatnonzero(~surface.fixed)
         source = inner[np.linalg.norm(surface.vertices[inner], axis=1).argmin()]
         surface = Surface(surface.vertices, surface.faces, surface.fixed, int(source))
-    capacity = _rounded(len(species) + (scene.lesion.divisions or SPARE))
-    particles = put_particles(tissue.points, species, tissue.held, capacity)
-    outcome = relax(
-        particles, put_membrane(surface), parameters=parameters, tolerance=tolerance
-    )
+    walls = walls_around(organ, patch, meeting_distance(scene, radius))
+    ground = Ground(organ, site, patch, walls, radius, thickness)
+    return Layout(ground, surface, organ_index, tissue, species)
+
+
+def plant_layout(
+    scene: Scene,
+    layout: Layout,
+    parameters: Parameters,
+    tolerance: float,
+    start: Positions | None = None,
+) -> Planted:
+    """Relax patch and tissue.
+
+    Args:
+        scene: what grows.
+        layout: of both.
+        parameters: of the mechanics.
+        tolerance: of the equilibrium, in F(0).
+        start: where to begin, of a growth that is replayed; None for the layout.
+    """
+    tissue = layout.tissue
+    capacity = _rounded(len(layout.species) + (scene.lesion.divisions or SPARE))
+    particles = put_particles(tissue.points, layout.species, tissue.held, capacity)
+    membrane = put_membrane(layout.surface)
+    if start is not None:
+        particles, membrane = put_positions(particles, membrane, start)
+    outcome = relax(particles, membrane, parameters=parameters, tolerance=tolerance)
     particles, membrane = outcome.state
     assert particles is not None
     assert membrane is not None
+    patch, site = layout.ground.patch, layout.ground.site
     former = FormerSurface(jnp.asarray(patch.vertices), jnp.asarray(patch.faces))
     frame = Frame(
-        jnp.asarray(site.point), jnp.asarray(site.normal), jnp.asarray(r0_mm), former
+        jnp.asarray(site.point),
+        jnp.asarray(site.normal),
+        jnp.asarray(scene.r0_mm),
+        former,
     )
-    if scene.lesion.target_mm is not None:
-        check_lift(membrane, former, around.density)
-    border = border_of(outcome)
-    walls = walls_around(organ, patch, meeting_distance(scene, radius))
-    ground = Ground(organ, site, patch, walls, radius, thickness)
     state = State(particles, reset_springs(membrane), frame)
-    return Planted(state, ground, organ_index, outcome, border)
+    return Planted(state, layout, outcome, border_of(outcome))

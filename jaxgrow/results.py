@@ -66,6 +66,16 @@ class Result(enum.Enum):
         "A triangle of the surface degenerated and could not be repaired; use stiffer "
         "springs.",
     )
+    SINGULAR = (
+        13,
+        "The equilibrium is not a strict minimum: a direction without stiffness, or "
+        "with a negative one, was found, so it has no derivative.",
+    )
+    NOT_SOLVED = (
+        14,
+        "The linear system of the equilibrium's derivative was not solved to its "
+        "tolerance.",
+    )
 
     def __init__(self, code: int, sentence: str) -> None:
         self.code = code

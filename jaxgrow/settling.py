@@ -11,8 +11,10 @@ from jaxtyping import Int
 from jaxgrow.adaptation import adapt_tissue_and_surface, Adapted, Laws
 from jaxgrow.border import Border
 from jaxgrow.clock import Clock
+from jaxgrow.collisions import CollisionFinder
 from jaxgrow.equilibrium.problem import Lists
-from jaxgrow.equilibrium.relax import stale
+from jaxgrow.equilibrium.relax import relax, stale
+from jaxgrow.events import Settling
 from jaxgrow.mesh.fairing import fair
 from jaxgrow.mesh.quality import radius_ratio
 from jaxgrow.mesh.sheet import join, Walls
@@ -23,7 +25,13 @@ from jaxgrow.planting import Ground
 from jaxgrow.results import Result
 from jaxgrow.scene import Scene
 from jaxgrow.state import State
-from jaxgrow.transfer import get_particles, get_surface, put_remeshed
+from jaxgrow.transfer import (
+    get_particles,
+    get_positions,
+    get_surface,
+    put_positions,
+    put_remeshed,
+)
 
 
 WALL_DISTANCE = 3.0
@@ -81,6 +89,13 @@ class Settled:
     quality: float = 1.0
 
     @property
+    def settling(self) -> Settling:
+        """What is needed to do it again."""
+        state = self.adapted.state
+        positions = get_positions(state.particles, state.membrane)
+        return Settling(positions, self.adapted.colliding, self.remeshing)
+
+    @property
     def mended(self) -> dict[str, int]:
         """What went wrong and was mended, how often."""
         counts = {} if self.remeshing is None else self.remeshing.counts
@@ -133,6 +148,53 @@ def settle(
     if quality < step.least_quality:
         return Settled(step, Result.SLIVER, adapted, remeshing, quality)
     return Settled(after, Result.CONVERGED, adapted, remeshing, quality)
+
+
+def settle_again(
+    step: Step,
+    settling: Settling,
+    parameters: Parameters,
+    tolerance: float,
+    clock: Clock,
+) -> Settled:
+    """The same from a recorded equilibrium, with the recorded fairing.
+
+    Args:
+        step: after the recorded division or enlargement.
+        settling: the record.
+        parameters: of the mechanics, not those of the record, maybe.
+        tolerance: of the equilibrium, in F(0).
+        clock: counts the seconds of the phases "adapt" and "fair".
+    """
+    state = step.state
+    finder = None
+    if settling.colliding and state.membrane is not None:
+        finder = CollisionFinder.of(
+            state.membrane, step.organ_index, step.walls, parameters
+        )
+    with clock.phase("adapt"):
+        start = put_positions(state.particles, state.membrane, settling.positions)
+        relaxation = relax(
+            *start,
+            parameters=parameters,
+            tolerance=tolerance,
+            lists=step.lists,
+            collide=finder,
+        )
+    particles, membrane = relaxation.state
+    assert particles is not None
+    state = State(particles, membrane, state.frame)
+    adapted = Adapted(state, relaxation.result, relaxation, settling.colliding)
+    if relaxation.result is not Result.CONVERGED:
+        return Settled(step, relaxation.result, adapted)
+    lists = stale(relaxation.lists)
+    after = replace(step, state=state, lists=lists, colliding=settling.colliding)
+    if settling.remeshing is None:
+        return Settled(after, Result.CONVERGED, adapted)
+    with clock.phase("fair"):
+        after = faired(after, settling.remeshing)
+    quality = quality_of(after.state)
+    return Settled(after, Result.CONVERGED, adapted, settling.remeshing, quality)
 
 
 def faired(step: Step, remeshing: Remeshing) -> Step:

@@ -9,15 +9,21 @@ from jaxtyping import Float
 from jaxgrow.border import beside_patch, border_of, Feeling, feeling
 from jaxgrow.clock import Clock
 from jaxgrow.division import choose_myoma, divide_myoma, divide_polyp, Division
-from jaxgrow.enlargement import enlarge_ground
-from jaxgrow.growth import Event
+from jaxgrow.enlargement import enlarge_ground, Enlarged, put_enlarged
+from jaxgrow.events import Event, Widening
 from jaxgrow.mesh.proximity import nearest_on_mesh
 from jaxgrow.organ import OrganError
 from jaxgrow.parameters import Parameters
-from jaxgrow.planting import Ground, meeting_distance, SPARE
+from jaxgrow.planting import Ground, meeting_distance, Planted, SPARE
 from jaxgrow.results import Result
 from jaxgrow.scene import Myoma, Scene
-from jaxgrow.settling import bound_on_quality, settle, Settled, Step
+from jaxgrow.settling import (
+    bound_on_quality,
+    settle,
+    settle_again,
+    Settled,
+    Step,
+)
 from jaxgrow.state import Particles, Species, State
 from jaxgrow.transfer import get, get_number, get_surface, with_capacity
 
@@ -28,7 +34,7 @@ class Iteration:
 
     Attributes:
         step: after it; the one before it, if the result is not CONVERGED.
-        event: the discrete choices.
+        event: the discrete choices, if the result is CONVERGED.
         settled: the equilibrium and the fairing, and how they were come to.
         result: CONVERGED, or why there is no valid step.
         felt: how the patch's border feels the lesion; None without a patch.
@@ -39,6 +45,18 @@ class Iteration:
     settled: Settled
     result: Result
     felt: Feeling | None = None
+
+
+def first_step(planted: Planted) -> Step:
+    """The step before the first division."""
+    return Step(
+        planted.state,
+        planted.organ_index,
+        None if planted.outcome is None else planted.outcome.lists,
+        planted.ground,
+        border=planted.border,
+        least_quality=bound_on_quality(planted.state),
+    )
 
 
 def iterate(
@@ -53,7 +71,7 @@ def iterate(
     with clock.phase("divide"):
         state, division = divide_tumour(scene, step.state, parameters, rng)
     settled = settle(scene, replace(step, state=state), parameters, tolerance, clock)
-    event = Event(division, settled.remeshing)
+    event = Event(division, settled.settling)
     result, felt = settled.result, None
     if result is Result.CONVERGED and step.border is not None:
         felt = _feeling(step, settled, parameters)
@@ -95,7 +113,7 @@ def enlarge_patch(
     rng: np.random.Generator,
     place: Float[np.ndarray, "3"],
     clock: Clock,
-) -> Step | Result:
+) -> tuple[Step, Widening] | Result:
     """A larger patch around the same lesion, in equilibrium, springs reset.
 
     Args:
@@ -109,8 +127,8 @@ def enlarge_patch(
         clock: counts the seconds.
 
     Returns:
-        The step, or PATCH_TOO_SMALL if the organ has no more to give, or why the wider
-        patch did not come to equilibrium.
+        The step and the record of it, or PATCH_TOO_SMALL if the organ has no more to
+        give, or why the wider patch did not come to equilibrium.
     """
     ground = step.ground
     assert ground is not None
@@ -131,7 +149,17 @@ def enlarge_patch(
             )
     except OrganError:
         return Result.PATCH_TOO_SMALL
-    placed = replace(
+    placed = _placed(step, wider)
+    settled = settle(scene, placed, parameters, tolerance, clock)
+    if settled.result is not Result.CONVERGED:
+        return settled.result
+    after = replace(settled.step, border=border_of(settled.adapted.relaxation))
+    return after, Widening(wider.ground, wider.enlargement, settled.settling)
+
+
+def _placed(step: Step, wider: Enlarged) -> Step:
+    """The step on a larger patch, not in equilibrium."""
+    return replace(
         step,
         state=wider.state,
         organ_index=wider.organ_index,
@@ -139,33 +167,71 @@ def enlarge_patch(
         lists=None,
         least_quality=min(step.least_quality, bound_on_quality(wider.state)),
     )
-    settled = settle(scene, placed, parameters, tolerance, clock)
-    if settled.result is not Result.CONVERGED:
-        return settled.result
-    return replace(settled.step, border=border_of(settled.adapted.relaxation))
+
+
+def repeat(
+    step: Step, event: Event, parameters: Parameters, tolerance: float, clock: Clock
+) -> Settled:
+    """An iteration again, from its record; the last settling of it.
+
+    Args:
+        step: before it.
+        event: its record.
+        parameters: of the mechanics, not those of the record, maybe.
+        tolerance: of the equilibria, in F(0).
+        clock: counts the seconds.
+    """
+    with clock.phase("divide"):
+        state = divide(step.state, event.division, parameters)
+    step = replace(step, state=state)
+    settled = settle_again(step, event.settling, parameters, tolerance, clock)
+    for widening in event.widenings:
+        if settled.result is Result.CONVERGED:
+            settled = widen(settled.step, widening, parameters, tolerance, clock)
+    return settled
+
+
+def widen(
+    step: Step,
+    widening: Widening,
+    parameters: Parameters,
+    tolerance: float,
+    clock: Clock,
+) -> Settled:
+    """A recorded enlargement of the patch again."""
+    with clock.phase("enlarge"):
+        wider = Enlarged(
+            put_enlarged(step.state, widening.enlargement),
+            widening.ground,
+            widening.enlargement.lining.organ_index,
+            widening.enlargement,
+        )
+    placed = _placed(step, wider)
+    return settle_again(placed, widening.settling, parameters, tolerance, clock)
 
 
 def divide_tumour(
     scene: Scene, state: State, parameters: Parameters, rng: np.random.Generator
 ) -> tuple[State, Division]:
     """1. Divide one tumour particle."""
-    particles = _with_room(state.particles)
-    slot = int(get(particles.alive).sum())
+    slot = int(get(state.particles.alive).sum())
+    division = Division(slot)
     if isinstance(scene.lesion, Myoma):
         division = _choose(state, slot, rng)
-        particles = divide_myoma(
-            particles,
-            jnp.asarray(division.parent),
-            jnp.asarray(slot),
-            jnp.asarray(division.offset),
-        )
+    return divide(state, division, parameters), division
+
+
+def divide(state: State, division: Division, parameters: Parameters) -> State:
+    """The state after a division that has been chosen."""
+    particles = _with_room(state.particles)
+    slot = jnp.asarray(division.slot)
+    if division.parent >= 0:
+        offset = jnp.asarray(division.offset)
+        particles = divide_myoma(particles, jnp.asarray(division.parent), slot, offset)
     else:
         assert state.membrane is not None
-        division = Division(slot)
-        particles = divide_polyp(
-            particles, state.membrane, jnp.asarray(slot), parameters
-        )
-    return State(particles, state.membrane, state.frame), division
+        particles = divide_polyp(particles, state.membrane, slot, parameters)
+    return State(particles, state.membrane, state.frame)
 
 
 def _choose(state: State, slot: int, rng: np.random.Generator) -> Division:

@@ -6,6 +6,8 @@ to positions stays on the device, so that it can be differentiated; only what is
 (who divides, which edge is split) is decided on the host.
 """
 
+from typing import NamedTuple, TypeVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -18,6 +20,9 @@ from jaxgrow.mesh.surface import average_parents, Remeshing, Surface
 from jaxgrow.mesh.topology import build_topology
 from jaxgrow.state import Membrane, parked, Particles
 from jaxgrow.types import Scalar
+
+
+MembraneOrNone = TypeVar("MembraneOrNone", bound=Membrane | None)
 
 
 def get(array: Array) -> np.ndarray:
@@ -75,6 +80,44 @@ def get_particles(
     """Position (in r0) and species of the living."""
     alive = get(particles.alive)
     return get(particles.position)[alive], get(particles.species)[alive]
+
+
+class Positions(NamedTuple):
+    """Positions of what is alive, on the host.
+
+    Attributes:
+        particles: in r0.
+        vertices: in r0; None without a membrane.
+    """
+
+    particles: Float[np.ndarray, "n 3"]
+    vertices: Float[np.ndarray, "m 3"] | None
+
+
+def get_positions(particles: Particles, membrane: Membrane | None) -> Positions:
+    """Where everything alive is."""
+    vertices = None
+    if membrane is not None:
+        vertices = get(membrane.vertices)[get(membrane.vertex_alive)]
+    return Positions(get(particles.position)[get(particles.alive)], vertices)
+
+
+def put_positions(
+    particles: Particles, membrane: MembraneOrNone, positions: Positions
+) -> tuple[Particles, MembraneOrNone]:
+    """The same with what may move elsewhere."""
+
+    def placed(own: Array, new: np.ndarray, free: Array) -> Array:
+        there = jnp.asarray(padded(new, own.shape[0]))
+        return jnp.where(free[:, None], there, own)
+
+    moved = placed(particles.position, positions.particles, particles.free)
+    particles = eqx.tree_at(lambda p: p.position, particles, moved)
+    if membrane is not None:
+        assert positions.vertices is not None
+        moved = placed(membrane.vertices, positions.vertices, membrane.free)
+        membrane = eqx.tree_at(lambda m: m.vertices, membrane, moved)
+    return particles, membrane
 
 
 def put_membrane(surface: Surface) -> Membrane:

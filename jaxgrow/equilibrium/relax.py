@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple, TypeAlias
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from jaxgrow import neighbors as nb
@@ -18,16 +19,18 @@ from jaxgrow.energy.contact import (
     list_contacts,
     reach,
 )
-from jaxgrow.equilibrium.descent import blank_memory, descend, Descent, Minimiser
+from jaxgrow.equilibrium.descent import blank_memory, descend, Minimiser
 from jaxgrow.equilibrium.fire import FIRE
+from jaxgrow.equilibrium.implicit import at_equilibrium, is_differentiated, primal
 from jaxgrow.equilibrium.lbfgs import LBFGS
+from jaxgrow.equilibrium.newton import polish
 from jaxgrow.equilibrium.problem import CONTACT_SKIN, Lists, Problem
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
 from jaxgrow.state import Membrane, Nodes, Particles
 
 
-Method = Literal["auto", "lbfgs", "fire"]
+Method = Literal["auto", "lbfgs", "fire", "newton"]
 
 CollisionLister: TypeAlias = Callable[
     [Float[Array, "m 3"], Collisions | None], Collisions
@@ -37,13 +40,17 @@ CollisionLister: TypeAlias = Callable[
 LARGEST_STEP = 0.1
 """Longest displacement of a node in one step, in r0."""
 
+POLISHED = 1e-4
+"""Tolerance below which Newton's method ends a relaxation, in F(0)."""
+
 
 class RelaxationStats(NamedTuple):
     """What a relaxation took.
 
     Attributes:
         residual: largest force on a free node, in F(0).
-        steps: steps made, over all methods and retries.
+        steps: steps made, over all methods and retries; of Newton's method the Hessian
+            products.
         overflows: how often a list was too small and was allocated anew.
         method: the method that ended it.
     """
@@ -74,6 +81,7 @@ class Relaxation(NamedTuple):
 
 
 _descend = eqx.filter_jit(descend)
+_polish = eqx.filter_jit(polish)
 _blank_memory = eqx.filter_jit(blank_memory)
 _count_contacts = eqx.filter_jit(count_contacts)
 
@@ -182,6 +190,13 @@ def relax(
 
     Particles at the very same point are set apart by a hair first.
 
+    *Derivatives.* The equilibrium can be differentiated, in forward and reverse mode at
+    the price of one linear solve, with respect to parameters, rest lengths, load, and
+    the positions of what is held or pinned (`jaxgrow.equilibrium.implicit`). The
+    tolerance is then 1e-10 at most. Where free nodes started from has no derivative. If
+    the equilibrium was not reached, is not a strict minimum, or its linear system could
+    not be solved, the derivative is NaN; `jaxgrow.linear_response` says which.
+
     No node moves farther in one step than 0.4 of its distance to what it must not
     cross, so particles stay on their side of the membrane throughout.
 
@@ -190,7 +205,9 @@ def relax(
         membrane: or None for particles alone; then no membrane term is compiled.
         parameters: of the energy; the default `Parameters()`.
         tolerance: largest force on a free node at the end, in F(0).
-        method: "lbfgs", "fire", or "auto": L-BFGS, then FIRE if it does not converge.
+        method: "lbfgs", "fire", "newton" (only from near an equilibrium), or "auto":
+            L-BFGS, which Newton's method ends where the tolerance is below 1e-4, then
+            FIRE if they do not converge.
         max_steps: bound on the steps of each method.
         largest_step: longest displacement of a node in one step, in r0.
         load: external force on every vertex, in F(0).
@@ -218,48 +235,107 @@ def relax(
             f"largest_step is {largest_step}; it must be positive and at most "
             f"{LARGEST_STEP}, or nodes could pass each other within a step."
         )
-    if particles is not None:
-        particles = _set_apart(particles)
-    problem = _problem(particles, membrane, parameters, load)
-    given = problem.parameters
-    # the stiffest pairs bound the stable time step: 2 / √λ, and λ grows with s
-    stiffest = jnp.maximum(1.0, given.tumour_stiffness)
-    lbfgs = ("lbfgs", LBFGS())
-    fire = ("fire", FIRE(largest=0.4 / jnp.sqrt(stiffest)))
-    methods: dict[str, list[tuple[str, Minimiser]]] = {
-        "lbfgs": [lbfgs],
-        "fire": [fire],
-        "auto": [lbfgs, fire],
-    }
-    if method not in methods:
-        raise ValueError(f"method is {method!r}; it must be one of {list(methods)}.")
+    given = _problem(particles, membrane, parameters, load)
+    problem = primal(given)
+    if problem.particles is not None:
+        apart = _set_apart(problem.particles)
+        problem = eqx.tree_at(lambda p: p.particles, problem, apart)
+    differentiated = is_differentiated(given)
+    if differentiated:
+        tolerance = min(tolerance, exact_tolerance(_dtype(given)))
     if lists is None or not _fits(problem, lists):
         lists = allocate_lists(problem)
     stats = RelaxationStats(math.inf, 0, 0, method)
-    result, forces = Result.STEP_LIMIT, problem.nodes()
-    for name, minimiser in methods[method]:
-        outcome, steps, overflows = _run(
-            problem,
-            lists,
-            minimiser,
-            tolerance,
-            max_steps,
-            largest_step,
-            collide,
-            observe,
-        )
-        problem, lists = problem.at(outcome.nodes), outcome.lists
-        result, forces = Result.of(int(outcome.code)), outcome.force
+    result, forces, near = Result.STEP_LIMIT, problem.nodes(), False
+    for stage in _stages(method, tolerance, problem.parameters):
+        if stage.polishes and not near:
+            continue
+        limits = _Limits(stage.tolerance, max_steps, largest_step)
+        found = _run(problem, lists, stage.minimiser, limits, collide, observe)
+        problem, lists, forces = problem.at(found.nodes), found.lists, found.force
+        result = found.result
+        near |= result is Result.CONVERGED
         stats = RelaxationStats(
-            float(outcome.residual),
-            stats.steps + steps,
-            stats.overflows + overflows,
-            name,
+            found.residual,
+            stats.steps + found.steps,
+            stats.overflows + found.overflows,
+            stage.name,
         )
-        if result is not Result.STEP_LIMIT:
+        done = result is Result.CONVERGED and found.residual <= tolerance
+        if done or result not in (Result.CONVERGED, Result.STEP_LIMIT):
             break
+    if differentiated:
+        valid = jnp.asarray(result is Result.CONVERGED)
+        nodes = at_equilibrium(given, problem.nodes(), lists, valid)
+        problem = given.at(nodes)
     state = problem.particles, problem.membrane
     return Relaxation(state, result, stats, lists, forces)
+
+
+class _Stage(NamedTuple):
+    """A method.
+
+    Attributes:
+        name: of it.
+        minimiser: None for Newton's method.
+        tolerance: how far it goes.
+        polishes: whether it comes only after a method that converged.
+    """
+
+    name: str
+    minimiser: Minimiser | None
+    tolerance: float
+    polishes: bool = False
+
+
+class _Limits(NamedTuple):
+    """Where a method stops, and its longest step."""
+
+    tolerance: float
+    max_steps: int
+    largest_step: float
+
+
+class _Found(NamedTuple):
+    """Where a method ended."""
+
+    nodes: Nodes
+    force: Nodes
+    lists: Lists
+    result: Result
+    residual: float
+    steps: int
+    overflows: int
+
+
+def exact_tolerance(dtype: DTypeLike = jnp.float64) -> float:
+    """Tolerance of an equilibrium whose derivative is taken, in F(0)."""
+    return 1e-10 if jnp.finfo(dtype).bits > 32 else 1e-5
+
+
+def _dtype(problem: Problem) -> jnp.dtype:
+    return jax.tree.leaves(problem.nodes())[0].dtype
+
+
+def _stages(method: str, tolerance: float, parameters: Parameters) -> list[_Stage]:
+    """The methods to try in turn, until one reaches the tolerance.
+
+    Raises:
+        ValueError: the method is unknown.
+    """
+    # the stiffest pairs bound the stable time step: 2 / √λ, and λ grows with s
+    stiffest = jnp.maximum(1.0, parameters.tumour_stiffness)
+    lbfgs = _Stage("lbfgs", LBFGS(), tolerance)
+    fire = _Stage("fire", FIRE(largest=0.4 / jnp.sqrt(stiffest)), tolerance)
+    newton = _Stage("newton", None, tolerance)
+    auto = [lbfgs, fire]
+    if tolerance < POLISHED:
+        polish = newton._replace(polishes=True), lbfgs._replace(polishes=True)
+        auto = [lbfgs._replace(tolerance=POLISHED), *polish, fire]
+    methods = {"lbfgs": [lbfgs], "fire": [fire], "newton": [newton], "auto": auto}
+    if method not in methods:
+        raise ValueError(f"method is {method!r}; it must be one of {list(methods)}.")
+    return methods[method]
 
 
 def _problem(
@@ -282,43 +358,48 @@ def _problem(
 def _run(
     problem: Problem,
     lists: Lists,
-    minimiser: Minimiser,
-    tolerance: float,
-    max_steps: int,
-    largest_step: float,
+    minimiser: Minimiser | None,
+    limits: _Limits,
     collide: CollisionLister | None,
     observe: Callable[[Nodes], None] | None,
-) -> tuple[Descent, int, int]:
-    """One method; every list that overflows is allocated anew and larger."""
-    dtype = jax.tree.leaves(problem.nodes())[0].dtype
+) -> _Found:
+    """One method, Newton's if there is no minimiser.
+
+    Every list that overflows is allocated anew and larger.
+    """
+    dtype = _dtype(problem)
     steps = overflows = 0
     memory = None
-    if collide is not None or observe is not None:
+    if minimiser is not None and (collide is not None or observe is not None):
         memory = _blank_memory(problem, minimiser)
     while True:
         lists = _prepared(problem, lists, collide)
-        outcome = _descend(
-            problem,
-            lists,
-            minimiser,
-            jnp.asarray(tolerance, dtype),
-            jnp.asarray(max_steps - steps if observe is None else 1),
-            jnp.asarray(largest_step, dtype),
-            memory,
-        )
-        steps += int(outcome.steps)
+        tolerance = jnp.asarray(limits.tolerance, dtype)
+        largest = jnp.asarray(limits.largest_step, dtype)
+        if minimiser is None:
+            outcome = _polish(problem, lists, tolerance, largest)
+            made = int(outcome.products)
+        else:
+            most = limits.max_steps - steps if observe is None else 1
+            outcome = _descend(
+                problem, lists, minimiser, tolerance, jnp.asarray(most), largest, memory
+            )
+            made, memory = int(outcome.steps), outcome.memory
+        steps += made
         problem, lists = problem.at(outcome.nodes), outcome.lists
-        if observe is not None and int(outcome.steps):
+        if observe is not None and made:
             observe(outcome.nodes)
         result = Result.of(int(outcome.code))
-        paused = observe is not None or bool(lists.stale)
+        single = observe is not None and minimiser is not None
+        paused = single or bool(lists.stale)
         if result is Result.OVERFLOW:
             overflows += 1
             lists = allocate_lists(problem, lists)
-        elif result is Result.STEP_LIMIT and steps < max_steps and paused:
-            memory = outcome.memory
-        else:
-            return outcome, steps, overflows
+        elif not (result is Result.STEP_LIMIT and steps < limits.max_steps and paused):
+            residual = float(outcome.residual)
+            return _Found(
+                outcome.nodes, outcome.force, lists, result, residual, steps, overflows
+            )
 
 
 def _prepared(problem: Problem, lists: Lists, collide: CollisionLister | None) -> Lists:

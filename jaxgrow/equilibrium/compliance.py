@@ -1,0 +1,130 @@
+"""Compliance: what small forces do to an equilibrium, for the host."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+from jaxtyping import Array, Float
+
+from jaxgrow.equilibrium.problem import Lists, Problem
+from jaxgrow.equilibrium.relax import _fits, _prepared, _problem, allocate_lists
+from jaxgrow.equilibrium.response import linearise, respond, Response
+from jaxgrow.parameters import Parameters
+from jaxgrow.results import Result
+from jaxgrow.state import Membrane, Nodes, Particles
+
+
+class LinearResponse(NamedTuple):
+    """Outcome of `linear_response`.
+
+    Attributes:
+        displacement: of every node, in r0; 0 where it may not move, NaN throughout if
+            the result is not CONVERGED.
+        result: CONVERGED, SINGULAR (not a strict minimum) or NOT_SOLVED.
+        residual: |H δx − f| / |f|, dimensionless.
+        products: Hessian products that it took, each as dear as two force evaluations.
+        softest: upper bound of the lowest eigenvalue of H, null modes apart, in
+            F(0)/r0; infinite where nothing has a stiffness.
+        null_modes: rigid modes, and three for each particle that touches nothing.
+    """
+
+    displacement: Nodes
+    result: Result
+    residual: float
+    products: int
+    softest: float
+    null_modes: int
+
+
+@eqx.filter_jit
+def _respond(problem: Problem, lists: Lists, forces: Nodes) -> Response:
+    return respond(linearise(problem, lists), forces)
+
+
+def linear_response(
+    particles: Particles | None,
+    membrane: Membrane | None = None,
+    *,
+    forces: Nodes,
+    parameters: Parameters | None = None,
+    load: Float[Array, "m 3"] | None = None,
+    lists: Lists | None = None,
+) -> LinearResponse:
+    r"""How an equilibrium moves when small forces act on it.
+
+    .. math:: H\, \delta x = f, \qquad H = \nabla^2 E(x^*)
+
+    on what may move, with the parts of :math:`f` and :math:`\delta x` in the null modes
+    of H left out (`jaxgrow.equilibrium.response`). This is also what the derivatives of
+    `relax` solve; where they are NaN, the result here says why.
+
+    Args:
+        particles: at equilibrium (`relax` them first, to 1e-10); None for a membrane
+            alone.
+        membrane: likewise; None for particles alone.
+        forces: on every particle and vertex, padding included, in F(0). What acts on
+            held, pinned and padding rows has no effect.
+        parameters: of the energy; the default `Parameters()`.
+        load: external force on every vertex under which it is an equilibrium, in F(0).
+        lists: of the relaxation, to spare their allocation. They are needed where the
+            surface collides, or no collision is felt.
+
+    Returns:
+        The displacement in r0, whether it can be trusted, and what it took.
+
+    Raises:
+        ValueError: there are neither particles nor a membrane, forces or load have
+            other shapes than what they act on, or a vertex has moved since the
+            collisions were listed.
+    """
+    if particles is None and membrane is None:
+        raise ValueError("nothing responds: give particles, a membrane, or both.")
+    problem = _problem(particles, membrane, parameters, load)
+    nodes = problem.nodes()
+    for name in ("particles", "vertices"):
+        _check(f"forces.{name}", getattr(forces, name), getattr(nodes, name))
+    if load is not None:
+        _check("load", load, nodes.vertices)
+    found = _respond(problem, _lists(problem, lists), forces)
+    return LinearResponse(
+        found.nodes,
+        Result.of(found.code),
+        float(found.residual),
+        int(found.products),
+        float(found.softest),
+        int(found.null_modes),
+    )
+
+
+def _check(name: str, given: Array | None, nodes: Array | None) -> None:
+    """Refuse one row too many or too few.
+
+    Raises:
+        ValueError: the shapes differ.
+    """
+    shapes = [None if a is None else a.shape for a in (given, nodes)]
+    if shapes[0] != shapes[1]:
+        raise ValueError(
+            f"{name} has the shape {shapes[0]}; it must be {shapes[1]}, one row for "
+            "each node, padding included."
+        )
+
+
+def _lists(problem: Problem, lists: Lists | None) -> Lists:
+    """Lists that are valid for where the problem is.
+
+    Raises:
+        ValueError: those of collisions are not.
+    """
+    if lists is None or not _fits(problem, lists):
+        return allocate_lists(problem)
+    now = _prepared(problem, lists, None)
+    if lists.collisions is None or problem.membrane is None:
+        return now
+    collisions, vertices = lists.collisions, problem.membrane.vertices
+    same = collisions.reference.shape == vertices.shape
+    if not same or bool(collisions.checked(vertices).stale):
+        raise ValueError(
+            "a vertex has moved too far since the collisions were listed; relax the "
+            "state, and pass the lists of that relaxation."
+        )
+    return Lists(now.neighbors, now.contacts, collisions)

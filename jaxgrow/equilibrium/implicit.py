@@ -1,0 +1,128 @@
+r"""The derivative of an equilibrium with respect to everything it depends on.
+
+At an equilibrium :math:`F(x^*, \theta) = 0`, so
+
+.. math:: \delta x^* = H^{-1}\, \partial_\theta F\, \delta\theta, \qquad
+          \bar\theta = (\partial_\theta F)^T H^{-1} \bar x
+
+(implicit function theorem; H is symmetric, so the same solver serves both). Forward and
+reverse mode each take one linear solve and one that proves the equilibrium a strict
+minimum, see `jaxgrow.equilibrium.response`, and keep the equilibrium alone: nothing of
+the way to it. If either fails the derivative is NaN, all of it.
+
+:math:`\theta` are the parameters, rest lengths, load, and positions of what is held or
+pinned. Where free nodes started from carries no derivative: an equilibrium is unique
+in its basin. Where nothing is pinned, the rigid motion of the whole is none either.
+
+First derivatives only, one direction at a time: JAX has no rule to differentiate or to
+batch `linear_call`, and says so (`jax.hessian`, `jax.jacfwd`, `jax.jacrev`).
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.core import Tracer
+from jax.custom_derivatives import linear_call
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float, PyTree
+
+from jaxgrow.equilibrium.problem import Lists, Problem
+from jaxgrow.equilibrium.response import linearise, respond
+from jaxgrow.results import Result
+from jaxgrow.state import Nodes
+
+
+def is_differentiated(tree: PyTree) -> bool:
+    """Whether a derivative is being taken with respect to a leaf."""
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
+
+
+def primal(tree: PyTree) -> PyTree:
+    """The values without their derivatives."""
+    return jax.tree.map(
+        lambda a: jax.lax.stop_gradient(a) if eqx.is_array(a) else a, tree
+    )
+
+
+def at_equilibrium(
+    problem: Problem, nodes: Nodes, lists: Lists, valid: Bool[Array, ""]
+) -> Nodes:
+    """The equilibrium, with its derivative in what the problem depends on.
+
+    Args:
+        problem: being differentiated.
+        nodes: its equilibrium, without derivative; best relaxed to rounding, since
+            the derivative is off by about its residual.
+        lists: valid there.
+        valid: whether it is an equilibrium; if not, the derivative is NaN.
+    """
+    floats, rest = eqx.partition(problem, eqx.is_inexact_array)
+    return _equilibrium(floats, (rest, nodes, lists, valid))
+
+
+@jax.custom_jvp
+def _equilibrium(_: Problem, known: PyTree) -> Nodes:
+    return known[1]
+
+
+@_equilibrium.defjvp
+def _equilibrium_jvp(primals: PyTree, tangents: PyTree) -> tuple[Nodes, Nodes]:
+    floats, known = primals
+    # one vector, since `linear_call` wants every operand to carry a derivative
+    moved = linear_call(_forward, _backward, (floats, known), _ravelled(tangents[0]))
+    return known[1], moved
+
+
+@jax.jit
+def _ravelled(floats: Problem) -> Float[Array, " k"]:
+    return ravel_pytree(floats)[0]
+
+
+def _free_forces(floats: Problem, rest: Problem, nodes: Nodes, lists: Lists) -> Nodes:
+    """Forces on what may move, with the rest where the problem has it."""
+    problem = eqx.combine(floats, rest)
+    free = problem.free()
+    at = jax.tree.map(
+        lambda on, x, own: jnp.where(on > 0, x, own), free, nodes, problem.nodes()
+    )
+    return jax.tree.map(jnp.multiply, free, problem.forces(at, lists))
+
+
+@jax.jit
+def _forward(residuals: PyTree, flat: Float[Array, " k"]) -> Nodes:
+    floats, (rest, nodes, lists, valid) = residuals
+    varied = ravel_pytree(floats)[1](flat)
+    problem = eqx.combine(floats, rest).at(nodes)
+    _, force = jax.jvp(
+        lambda f: _free_forces(f, rest, nodes, lists), (floats,), (varied,)
+    )
+    found = respond(linearise(problem, lists), force)
+    good = valid & (found.code == Result.CONVERGED.code)
+    given = eqx.combine(varied, rest).nodes()
+
+    def choose(on: Array, free: Array, own: Array) -> Array:
+        return jnp.where(good, jnp.where(on > 0, free, own), jnp.nan)
+
+    return jax.tree.map(choose, problem.free(), found.nodes, given)
+
+
+@jax.jit
+def _backward(residuals: PyTree, weight: Nodes) -> Float[Array, " k"]:
+    floats, (rest, nodes, lists, valid) = residuals
+    problem = eqx.combine(floats, rest).at(nodes)
+    free = problem.free()
+    masked = jax.tree.map(jnp.multiply, free, weight)
+    found = respond(linearise(problem, lists), masked)
+    good = valid & (found.code == Result.CONVERGED.code)
+    _, pull = jax.vjp(lambda f: _free_forces(f, rest, nodes, lists), floats)
+    (total,) = pull(found.nodes)
+    own = jax.tree.map(lambda on, w: jnp.where(on > 0, 0, w), free, weight)
+
+    def add(problem: Problem) -> Problem:
+        now = eqx.combine(problem, rest).nodes()
+        return eqx.filter(
+            eqx.combine(problem, rest).at(jax.tree.map(jnp.add, now, own)),
+            eqx.is_inexact_array,
+        )
+
+    return jnp.where(good, _ravelled(add(total)), jnp.nan)

@@ -1,0 +1,129 @@
+"""Newton's method from near an equilibrium, to the rounding of the forces.
+
+To a tight tolerance, such as derivatives need, descent takes as many steps again as to
+its usual one; Newton's method takes three or four iterations of a hundred Hessian
+products. Far from an equilibrium the Hessian has negative curvature: this method then
+gives up, with the best positions it had.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxgrow.equilibrium.problem import Lists, Problem
+from jaxgrow.equilibrium.response import linearise, solve
+from jaxgrow.numerics import safe_norm
+from jaxgrow.results import Result
+from jaxgrow.state import Nodes
+
+
+MAX_ITERATIONS = 20
+"""Bound on the iterations; four are usual."""
+
+_HALVINGS = 6
+"""How often a displacement that does not lessen the largest force is halved."""
+
+
+class Polished(eqx.Module):
+    """Outcome of `polish`.
+
+    Attributes:
+        nodes: the best positions found; the lists are valid for them.
+        force: there, on nodes that may not move too.
+        lists: the current lists.
+        residual: largest force on a free node, in F(0).
+        products: Hessian products that it took.
+        code: of the `Result`; STEP_LIMIT if the tolerance was not reached.
+    """
+
+    nodes: Nodes
+    force: Nodes
+    lists: Lists
+    residual: Float[Array, ""]
+    products: Int[Array, ""]
+    code: Int[Array, ""]
+
+
+def polish(
+    problem: Problem,
+    lists: Lists,
+    tolerance: Float[Array, ""],
+    largest: Float[Array, ""],
+) -> Polished:
+    """Solve H δx = F and move by δx, again and again.
+
+    The linear systems are solved only as well as the next iterate can be (inexact
+    Newton, Dembo et al. 1982): to the residual itself, or to the tolerance. No node
+    moves farther than the bound of the problem; all move by the same fraction.
+
+    Args:
+        problem: near an equilibrium.
+        lists: valid for it.
+        tolerance: largest force allowed on a free node, in F(0).
+        largest: longest displacement of a node in one iteration, in r0.
+    """
+    free = problem.free()
+
+    def measure(nodes: Nodes, lists: Lists) -> tuple[Nodes, Array]:
+        force = problem.forces(nodes, lists)
+        each = jax.tree.map(lambda f, on: jnp.max(safe_norm(on * f)), force, free)
+        return force, jnp.max(jnp.stack(jax.tree.leaves(each)))
+
+    def running(now: tuple[Polished, Array]) -> Array:
+        best, iterations = now
+        unfinished = (best.code == Result.STEP_LIMIT.code) & ~best.lists.stale
+        return unfinished & (iterations < MAX_ITERATIONS)
+
+    def iterate(now: tuple[Polished, Array]) -> tuple[Polished, Array]:
+        best, iterations = now
+        relative = jnp.clip(best.residual, 0.03 * tolerance / best.residual, 1e-2)
+        at = problem.at(best.nodes)
+        linear = linearise(at, best.lists)
+        response = solve(linear, linear.force, relative)
+        step = jax.tree.map(lambda a: jnp.where(jnp.isfinite(a), a, 0), response.nodes)
+        limit = problem.bound(best.nodes, best.lists, largest)
+
+        def fraction(move: Array, bound: Array, on: Array) -> Array:
+            length = safe_norm(move)
+            some = (length > 0) & (on[:, 0] > 0)
+            return jnp.min(jnp.where(some, bound / jnp.where(some, length, 1), 1))
+
+        fractions = jax.tree.map(fraction, step, limit, free)
+        scale = jnp.minimum(1, jnp.min(jnp.stack(jax.tree.leaves(fractions))))
+
+        def attempt(scale: Array) -> tuple[Nodes, Lists, Nodes, Array]:
+            nodes = jax.tree.map(lambda x, d: x + scale * d, best.nodes, step)
+            moved = problem.update(nodes, best.lists)
+            return nodes, moved, *measure(nodes, moved)
+
+        def worse(
+            tried: tuple[Array, tuple[Nodes, Lists, Nodes, Array], Array],
+        ) -> Array:
+            _, (_, _, _, residual), halvings = tried
+            return ~(residual < best.residual) & (halvings < _HALVINGS)
+
+        def halve(
+            tried: tuple[Array, tuple[Nodes, Lists, Nodes, Array], Array],
+        ) -> tuple[Array, tuple[Nodes, Lists, Nodes, Array], Array]:
+            scale, _, halvings = tried
+            return scale / 2, attempt(scale / 2), halvings + 1
+
+        begin = scale, attempt(scale), jnp.zeros((), int)
+        _, (nodes, moved, force, residual), _ = jax.lax.while_loop(worse, halve, begin)
+        better = (residual < best.residual) & ~moved.overflow
+        code = jnp.where(residual <= tolerance, Result.CONVERGED.code, best.code)
+        after = Polished(nodes, force, moved, residual, best.products, code)
+        kept = jax.tree.map(lambda a, b: jnp.where(better, a, b), after, best)
+        kept = eqx.tree_at(
+            lambda k: k.products, kept, best.products + response.products
+        )
+        return kept, jnp.where(better, iterations + 1, MAX_ITERATIONS)
+
+    force, residual = measure(problem.nodes(), lists)
+    code = jnp.where(
+        residual <= tolerance, Result.CONVERGED.code, Result.STEP_LIMIT.code
+    )
+    start = Polished(problem.nodes(), force, lists, residual, jnp.zeros((), int), code)
+    best, _ = jax.lax.while_loop(running, iterate, (start, jnp.zeros((), int)))
+    return best

@@ -1,0 +1,339 @@
+r"""Linear response: how an equilibrium moves when small forces act on it.
+
+At an equilibrium :math:`x^*` the free forces vanish, and small forces f move it by
+
+.. math:: H\, \delta x = f, \qquad H = \nabla^2 E(x^*)
+
+which is what a Newton step and the derivative of an equilibrium need. H is never
+formed: conjugate gradients use its products with vectors (Hestenes and Stiefel 1952),
+each as dear as about two force evaluations.
+
+*Null modes.* Where nothing is pinned, H does not feel the six rigid motions (under a
+load, only the three shifts), and it never feels a particle that touches nothing.
+Neither the response nor the forces have a part in them: both are projected. They are
+counted.
+
+*Checked.* A direction of negative or no curvature means that this is not a minimum, or
+that it has further null modes (SINGULAR); a residual that stays too large gives
+NOT_SOLVED. Then the response is NaN, never a number. Forces that share a symmetry of
+the equilibrium do not excite what breaks it, so a column that is about to buckle
+answers a load along its axis as if it were stable. `respond` therefore first finds the
+response to a force without any symmetry: residual polynomials of conjugate gradients
+are 1 at the eigenvalue 0, and above 1 at negative ones as long as all curvatures met
+are positive, so the part of that force along such an eigenvector does not vanish, and
+convergence proves that there is none (up to the residual).
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.typing import DTypeLike
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxgrow.equilibrium.problem import Lists, Problem
+from jaxgrow.results import Result
+from jaxgrow.state import Nodes
+from jaxgrow.types import Scalar
+
+
+MAX_PRODUCTS = 4000
+"""Bound on the Hessian products of one response."""
+
+_SEEN = 1e-6
+"""Part, over its length, of the force without symmetry that every mode surely has."""
+
+Product = Callable[[Nodes], Nodes]
+
+
+class Response(eqx.Module):
+    """How an equilibrium moves.
+
+    Attributes:
+        nodes: displacement of every node, in r0; NaN if `code` is not CONVERGED.
+        residual: |H δx − f| / |f|.
+        products: Hessian products that it took.
+        softest: smallest curvature met, in F(0)/r0: an upper bound of the lowest
+            eigenvalue of H (null modes apart); infinite if none was met.
+        null_modes: rigid modes, and three for each particle that touches nothing.
+        code: of the `Result`: CONVERGED, SINGULAR or NOT_SOLVED.
+    """
+
+    nodes: Nodes
+    residual: Float[Array, ""]
+    products: Int[Array, ""]
+    softest: Float[Array, ""]
+    null_modes: Int[Array, ""]
+    code: Int[Array, ""]
+
+
+class Linearised(NamedTuple):
+    """A problem linearised at its nodes.
+
+    Attributes:
+        force: on all nodes, in F(0), 0 on those that may not move.
+        product: H v.
+        feel: takes out of a vector what may not move and what touches nothing.
+        project: takes the rigid modes out of it too.
+        null_modes: their number.
+        probe: a force without any symmetry, on every row.
+    """
+
+    force: Nodes
+    product: Product
+    feel: Product
+    project: Product
+    null_modes: Int[Array, ""]
+    probe: Nodes
+
+
+def solved(dtype: DTypeLike) -> float:
+    """Residual, over the force, at which a response is exact in this precision."""
+    return 1e-10 if jnp.finfo(dtype).bits > 32 else 1e-4
+
+
+def _flat(dtype: DTypeLike) -> float:
+    """Curvature, over the largest met, below which a direction is a null mode."""
+    return 1e-9 if jnp.finfo(dtype).bits > 32 else 1e-5
+
+
+def dot(first: Nodes, second: Nodes) -> Float[Array, ""]:
+    """Scalar product over all nodes."""
+    products = jax.tree.map(lambda a, b: jnp.sum(a * b), first, second)
+    return jnp.sum(jnp.stack(jax.tree.leaves(products)))
+
+
+def _plus(first: Nodes, factor: Scalar, second: Nodes) -> Nodes:
+    return jax.tree.map(lambda a, b: a + factor * b, first, second)
+
+
+def linearise(problem: Problem, lists: Lists) -> Linearised:
+    """The forces and their derivative at the problem's nodes."""
+    free = problem.free()
+
+    def masked(nodes: Nodes) -> Nodes:
+        return jax.tree.map(jnp.multiply, free, nodes)
+
+    force, slope = jax.linearize(
+        lambda nodes: problem.forces(nodes, lists), problem.nodes()
+    )
+
+    def product(vector: Nodes) -> Nodes:
+        return jax.tree.map(jnp.negative, masked(slope(masked(vector))))
+
+    probe = jax.tree.map(_uneven, problem.nodes())
+    touching, rigid, count = _null_modes(problem, product(probe))
+
+    def feel(vector: Nodes) -> Nodes:
+        return jax.tree.map(jnp.multiply, touching, vector)
+
+    def project(vector: Nodes) -> Nodes:
+        vector = feel(vector)
+        for mode in rigid:
+            vector = _plus(vector, -dot(mode, vector), mode)
+        return vector
+
+    return Linearised(masked(force), product, feel, project, count, probe)
+
+
+def _uneven(rows: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    """Numbers of either sign without pattern, none of them 0."""
+    index = jnp.arange(rows.size).reshape(rows.shape)
+    return jnp.sin(1.0 + index.astype(rows.dtype) ** 2)
+
+
+def _null_modes(
+    problem: Problem, felt: Nodes
+) -> tuple[Nodes, list[Nodes], Int[Array, ""]]:
+    """Rows that feel others (1, else 0), rigid modes (orthonormal), and their number.
+
+    A row of H that gives exactly 0 for a vector without zeros is a particle that
+    touches nothing. A rigid mode that is not there (something is pinned or loaded,
+    fewer than three particles) is 0.
+
+    Args:
+        problem: at its nodes.
+        felt: the product of H with a vector without zeros.
+    """
+    nodes, free = problem.nodes(), problem.free()
+
+    def rows_felt(row: Float[Array, "n 3"], able: Float[Array, "n 3"]) -> Array:
+        return jnp.where(jnp.any(row != 0, axis=1, keepdims=True), able, 0)
+
+    touching = jax.tree.map(rows_felt, felt, free)
+
+    def rows(flags: Nodes) -> Array:
+        return jnp.sum(jnp.concatenate(jax.tree.leaves(flags))[:, 0])
+
+    count = (3 * (rows(free) - rows(touching))).astype(int)
+    loose, unloaded = _unpinned(problem), _unloaded(problem)
+    centre = sum(
+        jnp.sum(t * x, axis=0)
+        for t, x in zip(jax.tree.leaves(touching), jax.tree.leaves(nodes), strict=True)
+    )
+    centre = centre / jnp.maximum(rows(touching), 1)
+    axes = jnp.eye(3, dtype=centre.dtype)
+
+    def shift(axis: Float[Array, "3"]) -> Nodes:
+        return jax.tree.map(lambda t: t * axis[None, :], touching)
+
+    def turn(axis: Float[Array, "3"]) -> Nodes:
+        def moved(t: Array, x: Array) -> Array:
+            return t * jnp.cross(axis[None, :], x - centre[None, :])
+
+        return jax.tree.map(moved, touching, nodes)
+
+    modes = [(shift(e), loose) for e in axes]
+    modes += [(turn(e), loose & unloaded) for e in axes]
+    rounding = jnp.sqrt(jnp.finfo(centre.dtype).eps)
+    rigid: list[Nodes] = []
+    for mode, able in modes:
+        size = jnp.sqrt(dot(mode, mode))
+        for _ in range(2):  # twice is enough (Gram and Schmidt)
+            for known in rigid:
+                mode = _plus(mode, -dot(known, mode), known)
+        length = jnp.sqrt(dot(mode, mode))
+        there = able & (length > rounding * jnp.maximum(size, 1))
+        scale = jnp.where(there, 1 / jnp.where(there, length, 1), 0)
+        rigid.append(jax.tree.map(lambda m, s=scale: s * m, mode))
+        count = count + there.astype(int)
+    return touching, rigid, count
+
+
+def _unpinned(problem: Problem) -> Bool[Array, ""]:
+    """Whether nothing at all is held."""
+    loose = jnp.ones((), bool)
+    if problem.particles is not None:
+        loose &= ~jnp.any(problem.particles.alive & problem.particles.held)
+    if problem.membrane is not None:
+        loose &= ~jnp.any(problem.membrane.vertex_alive & problem.membrane.pinned)
+    return loose
+
+
+def _unloaded(problem: Problem) -> Bool[Array, ""]:
+    """Whether no force is given whose direction stays when everything turns."""
+    if problem.load is None or problem.membrane is None:
+        return jnp.ones((), bool)
+    return ~jnp.any((problem.load != 0) & problem.membrane.free[:, None])
+
+
+class _Search(eqx.Module):
+    """State of the conjugate gradients."""
+
+    x: Nodes
+    r: Nodes
+    p: Nodes
+    square: Float[Array, ""]
+    stiffest: Float[Array, ""]
+    softest: Float[Array, ""]
+    products: Int[Array, ""]
+    flat: Bool[Array, ""]
+
+
+def solve(linear: Linearised, force: Nodes, relative: Scalar | None = None) -> Response:
+    """The response to forces, by conjugate gradients.
+
+    Args:
+        linear: of a problem at an equilibrium, or near one.
+        force: on every node, in F(0); its part in the null modes is left out.
+        relative: residual at which to stop, over the force; by default that of
+            `solved`.
+    """
+    given = linear.feel(force)
+    b, whole = linear.project(given), dot(given, given)
+    dtype = whole.dtype
+    # of a force that only shifts or turns, rounding is left, which has no solution
+    rounding = (100 * jnp.finfo(dtype).eps) ** 2 * whole
+    nothing = jnp.isfinite(whole) & (dot(b, b) <= rounding)
+    b = jax.tree.map(lambda a: jnp.where(nothing, 0, a), b)
+    size = dot(b, b)
+    if relative is None:
+        relative = solved(dtype)
+    zero = jax.tree.map(jnp.zeros_like, b)
+    start = _Search(
+        zero,
+        b,
+        b,
+        size,
+        jnp.zeros((), dtype),
+        jnp.asarray(jnp.inf, dtype),
+        jnp.zeros((), int),
+        jnp.zeros((), bool),
+    )
+    goal = relative**2 * size
+
+    def running(now: _Search) -> Array:
+        return (now.square > goal) & (now.products < MAX_PRODUCTS) & ~now.flat
+
+    def step(now: _Search) -> _Search:
+        hp = linear.project(linear.product(now.p))
+        length = dot(now.p, now.p)
+        curvature = dot(now.p, hp) / length
+        stiffest = jnp.maximum(now.stiffest, jnp.abs(curvature))
+        flat = ~(curvature > _flat(dtype) * stiffest)
+        rate = now.square / jnp.where(flat, 1, curvature * length)
+        rate = jnp.where(flat, 0, rate)
+        r = _plus(now.r, -rate, hp)
+        square = dot(r, r)
+        return _Search(
+            _plus(now.x, rate, now.p),
+            r,
+            _plus(r, square / now.square, now.p),
+            square,
+            stiffest,
+            jnp.minimum(now.softest, curvature),
+            now.products + 1,
+            flat,
+        )
+
+    end = jax.lax.while_loop(running, step, start)
+    x = linear.project(end.x)
+    hx = linear.project(linear.product(x))
+    left, length = _plus(hx, -1.0, b), dot(x, x)
+    residual = jnp.sqrt(dot(left, left) / jnp.where(size > 0, size, 1))
+    residual = jnp.where(jnp.isfinite(size), residual, jnp.nan)
+    curvature = dot(x, hx) / jnp.where(length > 0, length, 1)
+    code = jnp.where(
+        end.flat,
+        Result.SINGULAR.code,
+        jnp.where(
+            residual <= 10 * relative, Result.CONVERGED.code, Result.NOT_SOLVED.code
+        ),
+    )
+    return Response(
+        _or_nan(x, code),
+        residual,
+        end.products,
+        jnp.minimum(end.softest, jnp.where(length > 0, curvature, jnp.inf)),
+        linear.null_modes,
+        code,
+    )
+
+
+def respond(linear: Linearised, force: Nodes) -> Response:
+    """The response to forces of an equilibrium, if that is a strict minimum.
+
+    Args:
+        linear: of a problem at an equilibrium.
+        force: on every node, in F(0); its part in the null modes is left out.
+    """
+    found = solve(linear, force)
+    seen = max(_SEEN, solved(found.residual.dtype))
+    any_force = solve(linear, linear.probe, seen)
+    stable = any_force.code == Result.CONVERGED.code
+    code = jnp.where(stable, found.code, any_force.code)
+    return Response(
+        _or_nan(found.nodes, code),
+        found.residual,
+        any_force.products + found.products,
+        jnp.minimum(any_force.softest, found.softest),
+        found.null_modes,
+        code,
+    )
+
+
+def _or_nan(nodes: Nodes, code: Int[Array, ""]) -> Nodes:
+    good = code == Result.CONVERGED.code
+    return jax.tree.map(lambda a: jnp.where(good, a, jnp.nan), nodes)
