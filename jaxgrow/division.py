@@ -7,7 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from jaxgrow.mesh.surface import Surface
 from jaxgrow.numerics import safe_norm
+from jaxgrow.organ.sides import Sides
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Membrane, Particles, Species
 
@@ -22,7 +24,8 @@ class Division(NamedTuple):
     Attributes:
         slot: of the new particle.
         parent: of a myoma; -1 for a polyp, whose parent is the source vertex.
-        offset: of a myoma's new particle from where its parent was, in r0.
+        offset: of a myoma's new particle from where its parent was, in r0; of a
+            polyp's from the source vertex, where the rule would leave the tissue.
     """
 
     slot: int
@@ -55,6 +58,12 @@ def source_normal(membrane: Membrane) -> Float[Array, "3"]:
     return total / jnp.where(length > 0, length, 1)
 
 
+def daughter_of_source(membrane: Membrane, parameters: Parameters) -> Float[Array, "3"]:
+    """Where a polyp's new particle is put by the rule, in r0."""
+    start = membrane.vertices[membrane.source]
+    return start - parameters.daughter_offset * source_normal(membrane)
+
+
 @eqx.filter_jit
 def divide_polyp(
     particles: Particles,
@@ -65,11 +74,20 @@ def divide_polyp(
     """The source vertex emits a tumour particle: x = x_source - δ n.
 
     It is put a little inside the tissue, "to ensure that it will never fall outside
-    the endometrium"; relaxation pushes it further in.
+    the endometrium"; relaxation pushes it further in. See `choose_polyp`.
     """
-    start = membrane.vertices[membrane.source]
-    new = start - parameters.daughter_offset * source_normal(membrane)
-    return _born(particles, slot, new)
+    return _born(particles, slot, daughter_of_source(membrane, parameters))
+
+
+@eqx.filter_jit
+def divide_polyp_to(
+    particles: Particles,
+    membrane: Membrane,
+    slot: Int[Array, ""],
+    offset: Float[Array, "3"],
+) -> Particles:
+    """The source vertex emits a tumour particle elsewhere: x = x_source + offset."""
+    return _born(particles, slot, membrane.vertices[membrane.source] + offset)
 
 
 @eqx.filter_jit
@@ -87,6 +105,47 @@ def divide_myoma(
         particles.position.at[parent].set(centre - offset),
     )
     return _born(moved, slot, centre + offset)
+
+
+def choose_polyp(
+    surface: Surface, slot: int, place: Float[np.ndarray, "3"]
+) -> Division | None:
+    """The division of a source, checked: the daughter must be inside the tissue.
+
+    Under a needle of a surface the rule's normal may lead out of it. Then the daughter
+    goes where it is deepest at the same distance, or at a half or a quarter of it.
+
+    Args:
+        surface: with the source.
+        slot: of the new particle.
+        place: by the rule, x_source - δ n.
+
+    Returns:
+        The choice; None if every way leads out.
+    """
+    start = surface.vertices[surface.source]
+    delta = float(np.linalg.norm(place - start))
+    # twice as far as anything that can be nearest, with the longest edges around
+    around = surface.vertices[surface.faces[(surface.faces == surface.source).any(1)]]
+    box = 2 * (delta + np.abs(around - start).max())
+    sides = Sides(surface.vertices, surface.faces, start - box, start + box)
+    if sides.measure(place[None]).side[0] < 0:
+        return Division(slot)
+    index = np.arange(_WAYS)
+    height = 1 - (2 * index + 1) / _WAYS
+    flat, turn = np.sqrt(1 - height**2), 2.399963 * index
+    ways = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
+    for length in (delta, delta / 2, delta / 4):
+        found = sides.measure(start + length * ways)
+        depth = np.where(found.side < 0, found.distance, 0)
+        if depth.max() > 0:
+            x, y, z = length * ways[depth.argmax()]
+            return Division(slot, offset=(float(x), float(y), float(z)))
+    return None
+
+
+_WAYS = 256
+"""Directions that are tried, spread evenly over the sphere (a Fibonacci lattice)."""
 
 
 def choose_myoma(

@@ -61,6 +61,11 @@ class Event(NamedTuple):
     widenings: tuple[Widening, ...] = ()
 
     @property
+    def redirected(self) -> bool:
+        """Whether a polyp's daughter was not put where the rule puts it."""
+        return self.division.parent < 0 and any(self.division.offset)
+
+    @property
     def remeshing(self) -> Remeshing | None:
         """What fairing did; None without a membrane."""
         return self.settling.remeshing

@@ -178,7 +178,9 @@ def _grow(
             break
         made = iterate(scene, step, parameters, tolerance, rng, clock)
         step, result, number = made.step, made.result, len(events) + 1
-        if result is Result.CONVERGED:
+        if made.settled is None:
+            break
+        if made.event is not None and result is Result.CONVERGED:
             events.append(made.event)
             with clock.phase("measure"):
                 size = size_of(scene, step.state) * scene.r0_mm
@@ -187,6 +189,8 @@ def _grow(
         record = make_record(number, size, step.state, made.settled, clock)
         add_feeling(record, made.felt)
         record["result"] = made.result.name
+        if made.event is not None and made.event.redirected:
+            record["mended"]["daughter_redirected"] = 1
         place = _tight_place(scene, made, history)
         if place is not None:
             wider = enlarge_patch(scene, step, parameters, tolerance, rng, place, clock)

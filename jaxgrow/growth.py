@@ -80,8 +80,9 @@ class Growth:
         """What went wrong on the way and was mended, how often.
 
         "overflows" of lists that were made larger, "retried_after_…" of relaxations
-        that were rolled back, "fairing_rejected", "patch_enlarged", and
-        "collisions_joined" when sheets of the surface first met.
+        that were rolled back, "fairing_rejected", "patch_enlarged",
+        "daughter_redirected" where the rule would have put a polyp's new particle out
+        of the tissue, and "collisions_joined" when sheets of the surface first met.
         """
         total: Counter[str] = Counter()
         for record in self.history:

@@ -2,13 +2,22 @@
 
 from dataclasses import dataclass, replace
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from jaxgrow.border import beside_patch, border_of, Feeling, feeling
 from jaxgrow.clock import Clock
-from jaxgrow.division import choose_myoma, divide_myoma, divide_polyp, Division
+from jaxgrow.division import (
+    choose_myoma,
+    choose_polyp,
+    daughter_of_source,
+    divide_myoma,
+    divide_polyp,
+    divide_polyp_to,
+    Division,
+)
 from jaxgrow.enlargement import enlarge_ground, Enlarged, put_enlarged
 from jaxgrow.events import Event, Widening
 from jaxgrow.mesh.proximity import nearest_on_mesh
@@ -35,14 +44,15 @@ class Iteration:
     Attributes:
         step: after it; the one before it, if the result is not CONVERGED.
         event: the discrete choices, if the result is CONVERGED.
-        settled: the equilibrium and the fairing, and how they were come to.
+        settled: the equilibrium and the fairing, and how they were come to; None if
+            there is no room for a division.
         result: CONVERGED, or why there is no valid step.
         felt: how the patch's border feels the lesion; None without a patch.
     """
 
     step: Step
-    event: Event
-    settled: Settled
+    event: Event | None
+    settled: Settled | None
     result: Result
     felt: Feeling | None = None
 
@@ -69,7 +79,10 @@ def iterate(
 ) -> Iteration:
     """Divide, adapt, fair, reset; the step before it comes back if that fails."""
     with clock.phase("divide"):
-        state, division = divide_tumour(scene, step.state, parameters, rng)
+        division = choose_division(scene, step.state, parameters, rng)
+        if division is None:
+            return Iteration(step, None, None, Result.ON_MEMBRANE)
+        state = divide(step.state, division, parameters)
     settled = settle(scene, replace(step, state=state), parameters, tolerance, clock)
     event = Event(division, settled.settling)
     result, felt = settled.result, None
@@ -210,27 +223,34 @@ def widen(
     return settle_again(placed, widening.settling, parameters, tolerance, clock)
 
 
-def divide_tumour(
+def choose_division(
     scene: Scene, state: State, parameters: Parameters, rng: np.random.Generator
-) -> tuple[State, Division]:
-    """1. Divide one tumour particle."""
+) -> Division | None:
+    """Who divides, and where to; None if every way leads out of the tissue."""
     slot = int(get(state.particles.alive).sum())
-    division = Division(slot)
     if isinstance(scene.lesion, Myoma):
-        division = _choose(state, slot, rng)
-    return divide(state, division, parameters), division
+        return _choose(state, slot, rng)
+    assert state.membrane is not None
+    place = get(_daughter_of_source(state.membrane, parameters))
+    return choose_polyp(get_surface(state.membrane), slot, place)
+
+
+_daughter_of_source = eqx.filter_jit(daughter_of_source)
 
 
 def divide(state: State, division: Division, parameters: Parameters) -> State:
-    """The state after a division that has been chosen."""
+    """1. The state after a division that has been chosen."""
     particles = _with_room(state.particles)
     slot = jnp.asarray(division.slot)
+    offset = jnp.asarray(division.offset)
     if division.parent >= 0:
-        offset = jnp.asarray(division.offset)
         particles = divide_myoma(particles, jnp.asarray(division.parent), slot, offset)
     else:
         assert state.membrane is not None
-        particles = divide_polyp(particles, state.membrane, slot, parameters)
+        if any(division.offset):
+            particles = divide_polyp_to(particles, state.membrane, slot, offset)
+        else:
+            particles = divide_polyp(particles, state.membrane, slot, parameters)
     return State(particles, state.membrane, state.frame)
 
 

@@ -6,13 +6,19 @@ import pytest
 
 from jaxgrow.division import (
     choose_myoma,
+    choose_polyp,
+    daughter_of_source,
     divide_myoma,
     divide_polyp,
+    divide_polyp_to,
+    Division,
     HALF_DISTANCE,
     point_on_sphere,
     source_normal,
 )
+from jaxgrow.mesh.intersection import intersecting_pairs
 from jaxgrow.mesh.surface import Surface
+from jaxgrow.mesh.winding import winding_number
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Species
 from jaxgrow.transfer import put_membrane, put_particles
@@ -61,6 +67,73 @@ def test_polyp_division_leaves_everybody_else_alone(particles, cone):
     for name in ("position", "species", "alive", "held"):
         before, now = getattr(particles, name), getattr(after, name)
         np.testing.assert_array_equal(now[others], before[others])
+
+
+def spiky(rng):
+    """A disc around its source, crumpled, but without intersections."""
+    while True:
+        angle = np.pi / 3 * np.arange(6)
+        ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+        far = np.stack([4 * np.cos(angle), 4 * np.sin(angle), 0 * angle], axis=1)
+        vertices = np.concatenate([[[0.0, 0, 0]], ring * rng.uniform(0.1, 1.5, (6, 1))])
+        vertices[1:, 2] += rng.normal(size=6)
+        vertices = np.concatenate([vertices, far])
+        around, outer = 1 + np.arange(6), 7 + np.arange(6)
+        after, beyond = 1 + (around % 6), 7 + (around % 6)
+        faces = np.concatenate(
+            [
+                np.stack([np.zeros(6, int), around, after], axis=1),
+                np.stack([around, outer, beyond], axis=1),
+                np.stack([around, beyond, after], axis=1),
+            ]
+        )
+        if not sum(map(len, intersecting_pairs(vertices, faces))):
+            return Surface(vertices, faces, np.arange(13) > 6, 0)
+
+
+def below(surface, point):
+    """Whether a point is below a disc, by the solid angle of the disc closed far up."""
+    rim = np.arange(7, 13)
+    cap = [[rim[(k + 1) % 6], rim[k], 13] for k in range(6)]
+    vertices = np.concatenate([surface.vertices, [[0.0, 0.0, 1e3]]])
+    faces = np.concatenate([surface.faces, cap])
+    return abs(winding_number(point[None], vertices, faces)[0]) < 0.25
+
+
+def test_daughter_is_always_inside_the_tissue():
+    rng, redirected = np.random.default_rng(8), 0
+    for _ in range(300):
+        surface = spiky(rng)
+        place = np.asarray(daughter_of_source(put_membrane(surface), Parameters()))
+        division = choose_polyp(surface, 5, place)
+        led_out = not below(surface, place)
+        redirected += led_out
+        assert any(division.offset) == led_out
+        if led_out:
+            place = surface.vertices[0] + np.array(division.offset)
+            assert np.linalg.norm(division.offset) <= 0.1 + 1e-12
+        assert below(surface, place)
+    assert redirected >= 5
+
+
+def test_redirected_daughter_is_put_at_its_offset(particles, cone):
+    offset = jnp.asarray([0.01, -0.02, 0.03])
+    after = divide_polyp_to(particles, cone[0], jnp.asarray(3), offset)
+    np.testing.assert_allclose(after.position[3], 3.0 + offset, atol=1e-14)
+    assert after.alive[3]
+    assert after.species[3] == Species.TUMOUR
+
+
+def test_source_without_room_has_no_division():
+    """The tissue is a tetrahedron of a hundredth of the offset."""
+    surface = Surface(
+        1e-3 * np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+        np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
+        np.zeros(4, bool),
+        0,
+    )
+    assert choose_polyp(surface, 5, np.array([0.0, 0.0, -0.1])) is None
+    assert choose_polyp(surface, 5, 1e-4 * np.ones(3)) == Division(5)
 
 
 def test_myoma_divides_into_two_halves_about_where_its_parent_was(particles):

@@ -21,7 +21,7 @@ from jaxgrow.parameters import Parameters, UnstableAdhesionWarning
 from jaxgrow.planting import plant
 from jaxgrow.results import Result
 from jaxgrow.scene import Myoma, Polyp, Scene
-from jaxgrow.step import divide_tumour
+from jaxgrow.step import choose_division, divide
 from jaxgrow.transfer import get, get_particles
 
 
@@ -44,7 +44,8 @@ def clusters(adhesion, tolerance, sizes, seed=0):
     state = plant(CLUSTER, parameters, tolerance=tolerance, rng=rng).state
     lists, found = None, {}
     for size in range(2, max(sizes) + 1):
-        state, _ = divide_tumour(CLUSTER, state, parameters, rng)
+        division = choose_division(CLUSTER, state, parameters, rng)
+        state = divide(state, division, parameters)
         laws = Laws(parameters, tolerance)
         nowhere = np.zeros(0, int)
         adapted = adapt_tissue_and_surface(state, nowhere, laws, lists, colliding=False)
