@@ -125,13 +125,18 @@ def adapt_tissue_and_surface(
         mended[name] = mended.get(name, 0) + 1
 
 
+JUMP, LEAST_JUMP = 1.2, 0.25
+"""Factor of its radius of gyration, and at least so many r0, by which no relaxation
+after a division enlarges the whole."""
+
+
 def _flew_apart(before: Particles, after: Particles) -> bool:
-    """Whether particles that had neighbours lost them all.
+    """Whether particles that had neighbours lost them all, or the whole flew apart.
 
     A relaxation with too long steps throws particles out of each other's reach, where
     no force is left and everything seems to be at rest.
     """
-    alone, count = [], 0
+    alone, radius, count = [], [], 0
     for particles in (before, after):
         alive = get(particles.alive)
         points = get(particles.position)[alive]
@@ -140,4 +145,6 @@ def _flew_apart(before: Particles, after: Particles) -> bool:
             return False
         distance, _ = KDTree(points).query(points, k=2)
         alone.append(int(np.count_nonzero(distance[:, 1] >= CUTOFF)))
-    return alone[1] > alone[0] + 0.02 * count
+        radius.append(float(np.sqrt(points.var(axis=0).sum())))
+    lost = alone[1] > alone[0] + 0.02 * count
+    return lost or radius[1] > max(JUMP * radius[0], radius[0] + LEAST_JUMP)

@@ -220,6 +220,18 @@ def test_cluster_that_flies_apart_is_no_equilibrium(monkeypatch):
     assert ended.history[-1]["mended"] == {"retried_after_evaporated": 1}
 
 
+@pytest.mark.parametrize(
+    "factor, apart", [(1.0, False), (1.15, False), (1.4, True), (4.0, True)]
+)
+def test_particles_that_fly_apart_are_noticed(thirty, factor, apart):
+    """A jump of the radius of gyration, though everybody keeps a neighbour to 1.5."""
+    before = thirty.state.particles
+    after = eqx.tree_at(lambda p: p.position, before, factor * before.position)
+    nearest_after = nearest(get_particles(after)[0])
+    assert (nearest_after.max() < 1.5) == (factor < 4)
+    assert adaptation._flew_apart(before, after) is apart
+
+
 def test_time_limit_is_a_result():
     ended = free(max_seconds=1e-9)
     assert ended.result is Result.TIME_LIMIT

@@ -382,14 +382,17 @@ def cases() -> Iterator[Case]:
         )
         yield Case(
             f"polyp-300-divisions-to-{tolerance:g}",
-            f"a polyp in the uterus, 300 divisions at tolerance {tolerance:g}",
+            f"a polyp in the uterus, 300 divisions at tolerance {tolerance:g}, "
+            "in 30 minutes",
             grown(
                 lambda: jg.uterus(),
                 site="fundus",
                 divisions=300,
                 tolerance=tolerance,
                 around={},
+                max_seconds=1800.0,
             ),
-            ok,
+            # forces of a tenth hold a needle that grows across the cavity
+            ok if tolerance < 0.1 else (*ok, "TIME_LIMIT", "PATCH_TOO_SMALL"),
             slow=True,
         )
