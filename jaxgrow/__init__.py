@@ -12,6 +12,13 @@ from typing import Any, TYPE_CHECKING
 
 if TYPE_CHECKING:
     from jaxgrow.audit import Audit as Audit, audit as audit
+    from jaxgrow.calibration import (
+        Bounds as Bounds,
+        Fit as Fit,
+        fit as fit,
+        FitError as FitError,
+        Target as Target,
+    )
     from jaxgrow.energy.a2 import A2 as A2
     from jaxgrow.equilibrium.compliance import (
         linear_response as linear_response,
@@ -59,6 +66,9 @@ if TYPE_CHECKING:
 _HOME = {
     "A2": "energy.a2",
     "Audit": "audit",
+    "Bounds": "calibration.task",
+    "Fit": "calibration.outcome",
+    "FitError": "calibration.task",
     "Growth": "growth",
     "LinearResponse": "equilibrium.compliance",
     "Membrane": "state",
@@ -76,9 +86,11 @@ _HOME = {
     "Species": "state",
     "State": "state",
     "Surroundings": "scene",
+    "Target": "calibration.task",
     "UnstableAdhesionWarning": "parameters",
     "audit": "audit",
     "audit_run": "run_folder",
+    "fit": "calibration.fit",
     "grow": "grow",
     "linear_response": "equilibrium.compliance",
     "load_organ": "organ.loading",

@@ -1,4 +1,4 @@
-"""The command ``jaxgrow``: grow, audit, sites.
+"""The command ``jaxgrow``: grow, fit, audit, sites.
 
 This is the application, so configuration belongs here: 64-bit numbers and the cache of
 compiled programs. Nothing heavy is imported before a command needs it.
@@ -231,6 +231,48 @@ def _conclude(
 
 
 @app.command()
+def fit(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="What to grow.")],
+    targets: Annotated[
+        Path,
+        typer.Argument(
+            metavar="TARGETS.toml",
+            help="Targets with uncertainties, parameters with bounds, effort.",
+        ),
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(metavar="DIR", help="Folder; an interrupted fit in it goes on."),
+    ],
+) -> None:
+    """Find parameters with which lesions have the shape that an expert describes."""
+    with _refusals():
+        _configure()
+        from jaxgrow.calibration import fit as run, load_task
+        from jaxgrow.calibration.table import say_tried, show
+        from jaxgrow.scene import load_scene
+
+        loaded, task = load_scene(scene), load_task(targets)
+        try:
+            found = run(
+                loaded,
+                task.targets,
+                task.parameters,
+                folder=out,
+                progress=say_tried,
+                **dict(task.fit),
+            )
+        except KeyboardInterrupt:
+            _say(f"{out} holds what was grown; the same command goes on from there.")
+            raise
+    show(found)
+    if not found.outcome.success:
+        _say(found.outcome.value)
+        raise typer.Exit(UNSUCCESSFUL)
+    typer.echo(f"{out}: {found.outcome.value}")
+
+
+@app.command()
 def audit(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run.")],
 ) -> None:
@@ -302,10 +344,13 @@ def _refusals() -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        # The scene's module imports JAX; if it is not loaded it raised nothing.
+        # These modules import JAX; if one is not loaded it raised nothing.
         scene = sys.modules.get("jaxgrow.scene")
         if scene is not None:
             errors = (*errors, scene.SceneError)
+        task = sys.modules.get("jaxgrow.calibration.task")
+        if task is not None:
+            errors = (*errors, task.FitError)
         if not isinstance(error, errors):
             raise
         raise _Refusal(str(error)) from error

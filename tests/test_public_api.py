@@ -12,6 +12,9 @@ import jaxgrow as jg
 
 PROMISED = [
     "A2",
+    "Bounds",
+    "Fit",
+    "FitError",
     "Growth",
     "Myoma",
     "Organ",
@@ -22,9 +25,12 @@ PROMISED = [
     "Scene",
     "SceneError",
     "Surroundings",
+    "Target",
     "audit",
     "audit_run",
+    "fit",
     "grow",
+    "linear_response",
     "load_organ",
     "load_scene",
     "make_scene",

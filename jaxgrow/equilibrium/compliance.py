@@ -65,6 +65,7 @@ def linear_response(
             held, pinned and padding rows has no effect.
         parameters: of the energy; the default `Parameters()`.
         load: external force on every vertex under which it is an equilibrium, in F(0).
+            It has no stiffness, but where nothing is pinned it keeps the direction.
         lists: of the relaxation, to spare their allocation. They are needed where the
             surface collides, or no collision is felt.
 
@@ -101,12 +102,10 @@ def _check(name: str, given: Array | None, nodes: Array | None) -> None:
     Raises:
         ValueError: the shapes differ.
     """
-    shapes = [None if a is None else a.shape for a in (given, nodes)]
-    if shapes[0] != shapes[1]:
-        raise ValueError(
-            f"{name} has the shape {shapes[0]}; it must be {shapes[1]}, one row for "
-            "each node, padding included."
-        )
+    shape, wanted = (None if a is None else a.shape for a in (given, nodes))
+    if shape != wanted:
+        why = "there are no such nodes" if wanted is None else "padding counts"
+        raise ValueError(f"{name} has the shape {shape}; it must be {wanted} ({why}).")
 
 
 def _lists(problem: Problem, lists: Lists | None) -> Lists:

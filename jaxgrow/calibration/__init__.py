@@ -1,0 +1,11 @@
+"""Parameters from what an expert knows of a shape: targets, search, uncertainty."""
+
+from jaxgrow.calibration.fit import fit as fit
+from jaxgrow.calibration.outcome import Fit as Fit, Outcome as Outcome
+from jaxgrow.calibration.task import (
+    Bounds as Bounds,
+    FitError as FitError,
+    load_task as load_task,
+    Target as Target,
+    Task as Task,
+)

@@ -1,0 +1,171 @@
+"""Fit parameters of growth to what an expert knows of a shape."""
+
+import hashlib
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from jaxgrow.calibration.coordinates import Coordinates
+from jaxgrow.calibration.folder import FILE, open_folder, write_folder
+from jaxgrow.calibration.growths import Grower, Growths, LesionGrower
+from jaxgrow.calibration.loss import Loss
+from jaxgrow.calibration.outcome import Fit, Outcome
+from jaxgrow.calibration.search import search, Tried
+from jaxgrow.calibration.task import Bounds, FitError, make_task, Target, Task
+from jaxgrow.calibration.uncertainty import achieved_targets, fitted_parameters
+from jaxgrow.organ import Organ
+from jaxgrow.report import named, versions
+from jaxgrow.scene import Scene
+
+
+def fit(
+    scene: Scene,
+    targets: Mapping[str, Target | tuple[float, float]],
+    parameters: Mapping[str, Bounds | tuple[float, float]],
+    *,
+    folder: str | Path | None = None,
+    optimiser: optax.GradientTransformation | None = None,
+    progress: Callable[[Tried], None] | None = None,
+    grower: Grower | None = None,
+    **effort: Any,
+) -> Fit:
+    r"""Find parameters with which lesions have the shape that an expert describes.
+
+    The least of :math:`\frac12 \sum_t ((\bar m_t - m_t)/\sigma_t)^2` is sought, with
+    the means of the metrics over several seeds (`jaxgrow.calibration.loss` says why),
+    by steps along gradients that are accepted only if the lesions that are grown anew
+    come closer to the targets, and without derivatives where those fail
+    (`jaxgrow.calibration.search`). A growth that ends with anything but REACHED makes
+    the loss infinite: the step is refused, and `Fit.failures` has it.
+
+    The metrics of one lesion differ by about a tenth from seed to seed. The fit is
+    that of the mean over its seeds; `Fitted.from_seeds` says by how much it depends on
+    which they are.
+
+    Args:
+        scene: what to grow. Its parameters hold where none is fitted.
+        targets: of metrics (`jaxgrow.metrics.shape.ShapeMetrics`), by their names;
+            a pair is value and uncertainty.
+        parameters: to be fitted, by their names; a pair is low and high.
+        folder: of an earlier fit to go on with, or of a new one: the growths are kept
+            in its ``fit.json``, and a fit that was interrupted ends with the same
+            result as one that was not. At the end the fitted scene and a plot are
+            written to it. None to write nothing.
+        optimiser: of optax, for the steps in unconstrained coordinates; by default
+            `jaxgrow.calibration.search.gauss_newton`. It is not part of what a folder
+            is checked for.
+        progress: called after every evaluation.
+        grower: makes the growths, instead of `jaxgrow.grow`.
+        **effort: `jaxgrow.calibration.task.Effort`: seeds, evaluations, smoothing,
+            max_divisions.
+
+    Returns:
+        The fit; its outcome is REACHED, UNREACHED or NOT_GROWN.
+
+    Raises:
+        FitError: a name, a bound or an effort makes no sense, or the folder cannot be
+            used.
+        OrganError: the organ or the site cannot be used.
+    """
+    entries = {"targets": dict(targets), "parameters": dict(parameters), "fit": effort}
+    task = make_task(entries, source="the fit")
+    _check_start(scene, task)
+    file = None
+    if folder is not None:
+        open_folder(Path(folder), scene)
+        file = Path(folder) / FILE
+    grower = LesionGrower(scene, task) if grower is None else grower
+    growths = Growths(grower, describe_request(scene, task), file)
+    coordinates = Coordinates.between(task.parameters.values())
+    start = [_start(scene, name, bounds) for name, bounds in task.parameters.items()]
+    loss = Loss(task, coordinates, growths)
+    found = search(
+        loss,
+        np.asarray(coordinates.coordinates(jnp.asarray(start))),
+        evaluations=task.fit.evaluations,
+        optimiser=optimiser,
+        progress=progress,
+    )
+    slope = loss.slope(found.best)
+    fitted = fitted_parameters(coordinates, found.best, slope, loss)
+    achieved = achieved_targets(task, found, slope, loss)
+    outcome = Outcome.NOT_GROWN
+    if math.isfinite(found.best.loss):
+        reached = all(target.reached for target in achieved)
+        outcome = Outcome.REACHED if reached else Outcome.UNREACHED
+    changed = dict(zip(task.parameters, found.best.values, strict=True))
+    own = replace(scene.parameters, **changed)
+    result = Fit(
+        scene=scene.model_copy(update={"parameters": own}),
+        task=task,
+        outcome=outcome,
+        end=found.end,
+        loss=found.best.loss,
+        parameters=dict(zip(task.parameters, fitted, strict=True)),
+        targets=dict(zip(task.targets, achieved, strict=bool(achieved))),
+        history=found.history,
+        growths=tuple(growths.all),
+    )
+    if folder is not None:
+        write_folder(result, growths, Path(folder))
+    return result
+
+
+def _start(scene: Scene, name: str, bounds: Bounds) -> float:
+    return (
+        float(getattr(scene.parameters, name)) if bounds.start is None else bounds.start
+    )
+
+
+def _check_start(scene: Scene, task: Task) -> None:
+    for name, bounds in task.parameters.items():
+        start = _start(scene, name, bounds)
+        if not bounds.low < start < bounds.high:
+            raise FitError(
+                f"the scene's {name} is {start:g}, which is not between {bounds.low:g} "
+                f"and {bounds.high:g}; give it a start, or other bounds."
+            )
+    surface = {name for name in task.targets if name != "tumour_diameter_mm"}
+    if scene.organ is None and surface:
+        raise FitError(
+            f"{min(surface)} needs a surface, but the scene has no organ; give one, or "
+            "fit tumour_diameter_mm."
+        )
+
+
+def describe_request(scene: Scene, task: Task) -> dict[str, Any]:
+    """All that decides the growths of a fit, as nested entries."""
+    lesion = scene.lesion.model_dump(mode="json")
+    return {
+        "scene": {
+            "organ": _identity(scene.organ),
+            "unit_mm": scene.unit_mm,
+            "tissue": scene.tissue,
+            "lesion": lesion,
+            "parameters": {n: float(v) for n, v in named(scene.parameters).items()},
+            "surroundings": scene.surroundings.model_dump(mode="json"),
+        },
+        "task": task.model_dump(mode="json"),
+        "versions": versions(),
+    }
+
+
+def _identity(organ: Organ | Path | str | None) -> str | None:
+    """The built-in organ's name, or the digest of what decides a mesh."""
+    if organ is None or organ == "uterus":
+        return organ if isinstance(organ, str) else None
+    digest = hashlib.sha256()
+    if isinstance(organ, Organ):
+        for array in (organ.vertices, organ.faces):
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return f"{organ.name} {digest.hexdigest()[:16]}"
+    path = Path(organ)
+    if path.is_file():  # if not, growing will say so
+        digest.update(path.read_bytes())
+    return f"{path.name} {digest.hexdigest()[:16]}"

@@ -1,0 +1,81 @@
+"""What came of a fit: parameters and targets, with what is known of them."""
+
+import enum
+from dataclasses import dataclass
+from typing import Any
+
+from jaxgrow.calibration.growths import Measured
+from jaxgrow.calibration.search import End, Tried
+from jaxgrow.calibration.task import Task
+from jaxgrow.calibration.uncertainty import Achieved, Fitted
+from jaxgrow.report import named, plain
+from jaxgrow.scene import Scene
+
+
+class Outcome(enum.Enum):
+    """What came of a fit; the value is the sentence that a user reads."""
+
+    REACHED = "All targets are reached within their uncertainty."
+    UNREACHED = "Not all targets are reached within their uncertainty."
+    NOT_GROWN = (
+        "No parameters were found with which the lesion of every seed grows to its end."
+    )
+
+    @property
+    def success(self) -> bool:
+        """Whether all targets are reached."""
+        return self is Outcome.REACHED
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fit, whether it reached its targets or not.
+
+    Attributes:
+        scene: with the fitted parameters.
+        task: what was asked for.
+        outcome: whether the targets are reached.
+        end: why the search ended.
+        loss: at the fitted parameters.
+        parameters: the fitted ones with their uncertainties.
+        targets: what was asked for, what was achieved, and why not; empty if nothing
+            grew.
+        history: every evaluation, in its order.
+        growths: all that were needed.
+    """
+
+    scene: Scene
+    task: Task
+    outcome: Outcome
+    end: End
+    loss: float
+    parameters: dict[str, Fitted]
+    targets: dict[str, Achieved]
+    history: tuple[Tried, ...]
+    growths: tuple[Measured, ...]
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """Of all evaluations in which a growth failed: which one, and how."""
+        return tuple(tried.failure for tried in self.history if tried.failure)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The outcome in the types that JSON has; what is not finite is None."""
+        return plain(
+            {
+                "outcome": self.outcome.name,
+                "sentence": self.outcome.value,
+                "end": self.end.name,
+                "end_sentence": self.end.value,
+                "loss": self.loss,
+                "parameters": {n: named(p) for n, p in self.parameters.items()},
+                "targets": {
+                    name: {**named(target), "reached": target.reached}
+                    for name, target in self.targets.items()
+                },
+                "evaluations": len(self.history),
+                "growths": len(self.growths),
+                "failures": self.failures,
+                "history": [named(tried) for tried in self.history],
+            }
+        )

@@ -1,0 +1,207 @@
+r"""How well the targets determine the parameters, and why a target is not reached.
+
+In the unconstrained coordinates, with the Jacobian J of the residuals in units of their
+uncertainty, the posterior is taken to be normal around the fit (Laplace), with the
+variance :math:`\pi^2/3` of a coordinate of which only the bounds are known:
+
+.. math:: C = \Big(J^T J + \frac{3}{\pi^2} I\Big)^{-1}.
+
+A mean over N seeds is uncertain as well. With the covariance S of the residuals over
+the seeds, it moves the fit by
+
+.. math:: C_\text{seeds} = (C J^T)\, \frac{S}{N}\, (C J^T)^T .
+
+The two are independent, and their variances add.
+"""
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxgrow.calibration.coordinates import Coordinates, PRIOR_VARIANCE
+from jaxgrow.calibration.loss import Evaluation, Loss, Slope
+from jaxgrow.calibration.search import End, Search
+from jaxgrow.calibration.task import Task
+
+
+AT_BOUND = 3.5
+"""Coordinate beyond which a parameter is at its bound: 3 % of the way are left."""
+
+UNDETERMINED = 0.5
+"""Share of its prior variance above which a parameter is not determined."""
+
+
+class Fitted(NamedTuple):
+    """A fitted parameter.
+
+    Attributes:
+        value: of the least loss.
+        low: one standard deviation less, all uncertainties together.
+        high: one standard deviation more; never beyond the bounds.
+        from_targets: standard deviation that comes from the targets' uncertainties.
+        from_seeds: standard deviation that comes from the number of seeds; NaN for one.
+        determined: whether the targets say more of it than its bounds do.
+    """
+
+    value: float
+    low: float
+    high: float
+    from_targets: float
+    from_seeds: float
+    determined: bool
+
+
+class Achieved(NamedTuple):
+    """A target and what the fit makes of it.
+
+    Attributes:
+        target: the value asked for.
+        uncertainty: the expert's.
+        achieved: mean over the seeds.
+        spread: standard deviation of one lesion, over the seeds; NaN for one.
+        residual: (achieved - target) / uncertainty.
+        reason: why it is not reached within its uncertainty; None if it is.
+    """
+
+    target: float
+    uncertainty: float
+    achieved: float
+    spread: float
+    residual: float
+    reason: str | None
+
+    @property
+    def reached(self) -> bool:
+        """Whether it is within the uncertainty."""
+        return abs(self.residual) <= 1
+
+
+def fitted_parameters(
+    coordinates: Coordinates, at: Evaluation, slope: Slope | None, loss: Loss
+) -> list[Fitted]:
+    """The parameters of a fit with their uncertainties.
+
+    Without sensitivities only the bounds are known.
+    """
+    number = len(at.u)
+    jacobian = np.zeros((0, number)) if slope is None else slope.jacobian
+    precision = jacobian.T @ jacobian + np.eye(number) / PRIOR_VARIANCE
+    covariance = np.linalg.inv(precision)
+    variance = np.diag(covariance)
+    sampling = np.full(number, math.nan)
+    if slope is not None and at.metrics is not None and len(at.metrics) > 1:
+        scaled = at.metrics / loss.uncertainty
+        mean = np.atleast_2d(np.cov(scaled, rowvar=False)) / len(scaled)
+        influence = covariance @ jacobian.T
+        sampling = np.diag(influence @ mean @ influence.T)
+    deviation = np.sqrt(variance + np.nan_to_num(sampling))
+    slopes = np.asarray(coordinates.slopes(jnp.asarray(at.u)))
+    low, high = (
+        np.asarray(coordinates.parameters(jnp.asarray(at.u + side * deviation)))
+        for side in (-1, 1)
+    )
+    return [
+        Fitted(
+            at.values[i],
+            float(low[i]),
+            float(high[i]),
+            float(np.sqrt(variance[i]) * slopes[i]),
+            float(np.sqrt(sampling[i]) * slopes[i]),
+            bool(variance[i] < UNDETERMINED * PRIOR_VARIANCE),
+        )
+        for i in range(number)
+    ]
+
+
+def achieved_targets(
+    task: Task, found: Search, slope: Slope | None, loss: Loss
+) -> list[Achieved]:
+    """The targets with what the fit makes of them; empty if nothing grew."""
+    metrics = found.best.metrics
+    if metrics is None:
+        return []
+    mean, residual = metrics.mean(axis=0), loss.residual(metrics)
+    spread = np.full(len(mean), math.nan)
+    if len(metrics) > 1:
+        spread = metrics.std(axis=0, ddof=1)
+    rows = list[Achieved]()
+    for i, (name, target) in enumerate(task.targets.items()):
+        reason = None
+        if abs(residual[i]) > 1:
+            seen = [tried.metrics[i] for tried in found.history if tried.metrics]
+            side = "above" if residual[i] > 0 else "below"
+            reason = (
+                f"{name} is {mean[i]:.3g}, {abs(residual[i]):.1f} uncertainties {side} "
+                f"its target {target.value:g} ± {target.uncertainty:g}; it was "
+                f"{min(seen):.3g} to {max(seen):.3g} in all evaluations: "
+                f"{_why(task, found, slope, residual, i)}"
+            )
+        rows.append(
+            Achieved(
+                target.value,
+                target.uncertainty,
+                float(mean[i]),
+                float(spread[i]),
+                float(residual[i]),
+                reason,
+            )
+        )
+    return rows
+
+
+def _why(
+    task: Task,
+    found: Search,
+    slope: Slope | None,
+    residual: Float[np.ndarray, " t"],
+    index: int,
+) -> str:
+    """What keeps a target from being reached, as far as the sensitivities tell."""
+    if slope is None:
+        return f"there is no derivative; {_ended(found)}"
+    metrics, names = list(task.targets), list(task.parameters)
+    u = found.best.u
+    share = 1 / (1 + np.exp(-u))
+    # change over the whole way between the bounds, were it linear
+    whole = slope.jacobian / (share * (1 - share))
+    towards = -np.sign(residual[index]) * whole[index]
+    within = np.abs(towards).sum()
+    if within < abs(residual[index]):
+        return (
+            f"from bound to bound, {_listed(names)} {_verb(names, 'change')} it by "
+            f"about {within:.2g} uncertainties."
+        )
+    held = (np.abs(u) > AT_BOUND) & (towards * u > 0)
+    limits = [
+        f"{names[p]} is at its {'upper' if u[p] > 0 else 'lower'} bound"
+        for p in np.flatnonzero(held)
+    ]
+    moved = whole @ np.where(held, 0, towards)
+    against = [
+        metrics[k]
+        for k in range(len(metrics))
+        if k != index and moved[k] * residual[k] > 0.1 * abs(moved[index])
+    ]
+    if against:
+        limits.append(f"what would move it there moves {_listed(against)} away")
+    if limits:
+        return f"{'; '.join(limits)}."
+    return _ended(found)
+
+
+def _ended(found: Search) -> str:
+    sentence = found.end.value[0].lower() + found.end.value[1:]
+    return f"{sentence[:-1]}; allow more." if found.end is End.EXHAUSTED else sentence
+
+
+def _listed(names: list[str]) -> str:
+    if len(names) == 1:
+        return names[0]
+    return f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _verb(names: list[str], verb: str) -> str:
+    return f"{verb}s" if len(names) == 1 else verb

@@ -1,0 +1,40 @@
+"""Formulas in the place of growths."""
+
+import math
+
+import pytest
+
+from jaxgrow.calibration.growths import Measured
+
+
+class Formula:
+    """Two metrics of one parameter k, x = log k, that differ between seeds.
+
+    The slopes are `share` of the true ones, as frozen choices miss a part; above
+    `fails_above` no growth ends; after `grows` growths comes Ctrl-C.
+    """
+
+    def __init__(self, share=0.5, fails_above=math.inf, grows=math.inf):
+        self.share, self.fails_above, self.grows = share, fails_above, grows
+        self.asked = []
+
+    def measure(self, seed, values):
+        if len(self.asked) >= self.grows:
+            raise KeyboardInterrupt
+        self.asked.append((seed, values))
+        (k,) = values
+        if k > self.fails_above:
+            return Measured(seed, values, "STEP_LIMIT", ())
+        x, noise = math.log(k), 0.02 * math.sin(5 * seed + 1)
+        return Measured(seed, values, "REACHED", (1.3 - 0.4 * x + noise, 2 - 0.5 * x))
+
+    def slopes(self, _, values):
+        if self.share is None:
+            return ()
+        (k,) = values
+        return ((-0.4 * self.share / k,), (-0.5 * self.share / k,))
+
+
+@pytest.fixture
+def formula():
+    return Formula

@@ -1,0 +1,78 @@
+"""Targets, bounds and effort: read, validated and explained."""
+
+import pytest
+
+from jaxgrow.calibration.task import Bounds, FitError, load_task, make_task, Target
+
+
+GOOD = """
+[targets]
+height_to_width = {value = 1.8, uncertainty = 0.2}
+neck_to_width = [0.4, 0.1]
+
+[parameters]
+spring_stiffness = {low = 0.005, high = 0.5, start = 0.04}
+contact_adhesion = [0, 1]
+
+[fit]
+seeds = [3, 4]
+"""
+
+
+def entries(**changed):
+    good = {"targets": {"height_mm": (9, 1)}, "parameters": {"adhesion": (0.1, 0.3)}}
+    return {**good, **changed}
+
+
+def test_a_file_is_read(tmp_path):
+    path = tmp_path / "targets.toml"
+    path.write_text(GOOD)
+    task = load_task(path)
+    assert task.targets["height_to_width"] == Target(value=1.8, uncertainty=0.2)
+    assert task.targets["neck_to_width"] == Target(value=0.4, uncertainty=0.1)
+    assert task.parameters["contact_adhesion"] == Bounds(low=0, high=1)
+    assert task.parameters["spring_stiffness"].start == 0.04
+    assert task.fit.seeds == (3, 4)
+    assert task.fit.evaluations == 30
+
+
+@pytest.mark.parametrize(
+    "changed, sentence",
+    [
+        ({"targets": {}}, "targets is empty"),
+        ({"targets": {"height": (9, 1)}}, "did you mean height_mm"),
+        ({"targets": {"height_mm": (9, 0)}}, "targets.height_mm.uncertainty is 0"),
+        ({"targets": {"height_mm": (9,)}}, "give two numbers, value and uncertainty"),
+        ({"targets": {"height_mm": {"value": 9}}}, "uncertainty is missing"),
+        (
+            {"targets": {"height_mm": {"value": 9, "uncertainty": 1, "sigma": 2}}},
+            "targets.height_mm.sigma is unknown; known are value, uncertainty",
+        ),
+        ({"parameters": {"stiffness": (1, 2)}}, "stiffness is unknown"),
+        ({"parameters": {"adhesion": (0.3, 0.1)}}, "low must be less"),
+        ({"parameters": {"pretension": (0.1, 2)}}, "a number from 0 to 0.9"),
+        (
+            {"parameters": {"adhesion": {"low": 0.1, "high": 0.3, "start": 0.3}}},
+            "start is 0.3; it must lie between 0.1 and 0.3",
+        ),
+        ({"fit": {"seeds": []}}, "fit.seeds is empty"),
+        ({"fit": {"seeds": [1, 1]}}, "a seed is given twice"),
+        ({"fit": {"steps": 3}}, "fit.steps is unknown"),
+        ({"fit": {"evaluations": 0}}, "fit.evaluations is 0"),
+        ({"goals": {}}, "goals is unknown"),
+    ],
+)
+def test_a_wrong_entry_is_named(changed, sentence):
+    with pytest.raises(FitError, match=sentence) as caught:
+        make_task(entries(**changed), source="here")
+    assert str(caught.value).startswith("here: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_is_absent_or_no_toml_is_refused(tmp_path):
+    with pytest.raises(FitError, match="cannot be read: No such file"):
+        load_task(tmp_path / "absent.toml")
+    wrong = tmp_path / "wrong.toml"
+    wrong.write_text("targets =")
+    with pytest.raises(FitError, match="are not valid TOML"):
+        load_task(wrong)
