@@ -1,7 +1,6 @@
 """Fits of real growths: small lesions, few of them."""
 
 import json
-import math
 
 import numpy as np
 import pytest
@@ -117,18 +116,16 @@ def test_a_growth_that_is_not_finished_has_no_metrics():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("start", [0.04 / 3, 0.12])
-def test_a_planted_stiffness_is_recovered_three_times_off(start):
-    # From the same seeds: lesions of eight divisions differ by a third from seed to
-    # seed, so that others need hundreds (experiments/calibration.py takes larger ones).
+def test_gradient_steps_lead_from_three_times_off_to_planted_targets():
+    # Within a factor of two, no more: one lesion of eight divisions determines its
+    # stiffness to a quarter, so 10 % takes far more of them, or larger ones.
     entries = {"targets": TARGETS, "parameters": BOUNDS}
     grower = LesionGrower(POLYP, make_task(entries, source="test"))
-    planted = [grower.measure(seed, (0.04,)).metrics for seed in range(3)]
+    planted = [grower.measure(seed, (0.04,)).metrics for seed in range(100, 103)]
     height, area = np.mean(planted, axis=0).tolist()
-    targets = {"height_mm": (height, 0.05), "area_mm2": (area, 0.3)}
-    bounds = {"spring_stiffness": Bounds(low=0.004, high=0.4, start=start)}
-    found = fit(POLYP, targets, bounds, seeds=range(3), evaluations=15)
-    fitted = found.parameters["spring_stiffness"]
-    assert math.isclose(fitted.value, 0.04, rel_tol=0.1)
-    assert found.outcome.success
-    assert fitted.determined
+    targets = {"height_mm": (height, 0.1), "area_mm2": (area, 1.0)}
+    bounds = {"spring_stiffness": Bounds(low=0.004, high=0.4, start=0.12)}
+    found = fit(POLYP, targets, bounds, seeds=range(3), evaluations=5)
+    assert any(t.accepted and t.how == "gradient" for t in found.history)
+    assert found.loss < found.history[0].loss / 4
+    assert 0.02 < found.scene.parameters.spring_stiffness < 0.08

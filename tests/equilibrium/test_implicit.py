@@ -91,7 +91,7 @@ def difference(problem, tangent, step):
     return (4 * central(step / 2) - central(step)) / 3
 
 
-def check(problem, tangent, step, rtol=1e-6):
+def check(problem, tangent, step, rtol=1e-7):
     """The derivative along a tangent against differences of equilibria; its size."""
     found = forward(problem, tangent)
     size = np.linalg.norm(found)
