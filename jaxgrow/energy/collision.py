@@ -28,6 +28,7 @@ nothing is missed.
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -126,14 +127,27 @@ def collision_energy(
     )
     law = A2(0.0, parameters.smoothing)
     repulsion = jnp.sum(jnp.where(nearest < 1, law.energy(nearest), 0))
-    walls = jnp.sum(barrier(u, collisions.vertex_margin))
+    walls = jnp.sum(barrier(u, _margin(collisions.vertex_margin, parameters)))
     u = jnp.where(jnp.isfinite(edge), edge, 1) / scale
     skew = _skewness(membrane, collisions)
-    walls += jnp.sum(skew * barrier(u, collisions.edge_margin))
+    margin = _margin(collisions.edge_margin, parameters)
+    walls += jnp.sum(skew * barrier(u, margin))
     return scale * (
         parameters.collision_stiffness * repulsion
         + parameters.barrier_stiffness * walls
     )
+
+
+def _margin(listed: Float[Array, " p"], parameters: Parameters) -> Float[Array, " p"]:
+    """The listed margins, with their derivatives in the parameters.
+
+    A margin is the barrier's range, or a length at rest in collision ranges.
+    """
+    reach = jnp.asarray(parameters.barrier_range, listed.dtype)
+    whole = listed == jax.lax.stop_gradient(reach)
+    size = jnp.asarray(parameters.collision_range, listed.dtype)
+    shrunk = listed * (jax.lax.stop_gradient(size) / size)
+    return jnp.where(whole, reach, shrunk)
 
 
 def collision_clearances(

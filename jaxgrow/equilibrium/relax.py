@@ -191,7 +191,7 @@ def relax(
     Particles at the very same point are set apart by a hair first.
 
     *Derivatives.* The equilibrium can be differentiated, in forward and reverse mode at
-    the price of one linear solve, with respect to parameters, rest lengths, load, and
+    the price of two linear solves, with respect to parameters, rest lengths, load, and
     the positions of what is held or pinned (`jaxgrow.equilibrium.implicit`). The
     tolerance is then 1e-10 at most. Where free nodes started from has no derivative. If
     the equilibrium was not reached, is not a strict minimum, or its linear system could

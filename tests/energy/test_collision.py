@@ -92,6 +92,28 @@ def test_barrier_grows_without_bound():
     assert slope(1e-8) < 1e3 * slope(1e-3) < 0
 
 
+@pytest.mark.parametrize("name", ["barrier_range", "collision_range"])
+@pytest.mark.parametrize("apart", [True, False], ids=["apart", "neighbours"])
+def test_margins_have_derivatives_in_the_parameters(name, apart):
+    """As if they were listed anew: b, or a length at rest of 0.1 r0 in ranges."""
+    vertices = [*FLOOR, [0.0, 0.0, 0.05]]
+
+    def listed(values):
+        margin = values.barrier_range if apart else 0.1 / values.collision_range
+        return pairs(vertices, vertex=[(3, (0, 1, 2))], apart=apart, margin=margin)
+
+    def energy(value, lists=None):
+        values = Parameters(**{"collision_range": 0.5, name: value})
+        there = listed(values) if lists is None else lists
+        return collision_energy(membrane_of(vertices), there, values)
+
+    start = getattr(PARAMETERS, name)
+    slope = jax.grad(lambda v: energy(v, listed(PARAMETERS)))(start)
+    wanted = (energy(start + 1e-6) - energy(start - 1e-6)) / 2e-6
+    assert (abs(wanted) > 0.01) == (apart or name == "collision_range")
+    np.testing.assert_allclose(slope, wanted, rtol=1e-7, atol=1e-9)
+
+
 def test_neighbours_feel_nothing_beyond_their_margin():
     vertices = [*FLOOR, [0.0, 0.0, 0.2]]
     near = pairs(vertices, vertex=[(3, (0, 1, 2))], apart=False, margin=0.3)
