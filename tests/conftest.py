@@ -1,5 +1,6 @@
 """What every test runs under: 64 bits, strict promotion, compiled programs on disk."""
 
+import gc
 import os
 from importlib.metadata import version
 from pathlib import Path
@@ -29,6 +30,22 @@ if _cache != "off":
 settings.register_profile("default", derandomize=True, deadline=None, max_examples=20)
 settings.register_profile("thorough", deadline=None, max_examples=500)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
+
+
+MAPPINGS = Path("/proc/self/maps")
+"""Mapped regions of memory, a line each: Linux allows a process 65 530."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_programs():
+    """Forget compiled programs when there are many: each maps some regions of memory.
+
+    At the limit XLA aborts the process. Programs are on disk, so it costs little.
+    """
+    yield
+    if MAPPINGS.exists() and MAPPINGS.read_bytes().count(b"\n") > 20_000:
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture
