@@ -5,14 +5,12 @@ speak in r0, the diameter of a particle.
 """
 
 import dataclasses
-import difflib
-import tomllib
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeAlias
 
 import pydantic
 
+from jaxgrow.entries import check_names, Positive, read_toml, validated
 from jaxgrow.organ.organ import Organ
 from jaxgrow.parameters import Parameters
 
@@ -20,7 +18,6 @@ from jaxgrow.parameters import Parameters
 SITE_DEFAULT = "fundus"
 
 Site: TypeAlias = str | Annotated[tuple[float, float, float], pydantic.Strict(False)]
-Positive: TypeAlias = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)]
 
 
 class SceneError(ValueError):
@@ -169,10 +166,8 @@ class Scene(_Model):
     def _parameters(cls, value: object) -> object:
         if not isinstance(value, dict):
             return value
-        known = [field.name for field in dataclasses.fields(Parameters)]
+        check_names(value, [field.name for field in dataclasses.fields(Parameters)])
         for name, number in value.items():
-            if name not in known:
-                raise ValueError(f"parameter {name!r} is unknown{_meant(name, known)}")
             if isinstance(number, bool) or not isinstance(number, int | float):
                 raise ValueError(f"parameter {name} is {number!r}; give a number")
         return Parameters(**value)
@@ -206,16 +201,7 @@ def read_entries(path: str | Path) -> dict[str, Any]:
         SceneError: the file cannot be read, or is no TOML.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise SceneError(
-            f"the scene {path} cannot be read: {_reason(error)}."
-        ) from error
-    try:
-        entries = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise SceneError(f"the scene {path} is not valid TOML: {error}.") from error
+    entries = read_toml(path, "scene", SceneError)
     organ = entries.get("organ")
     if isinstance(organ, str) and organ != "uterus":
         entries["organ"] = str(path.parent / organ)
@@ -232,49 +218,4 @@ def make_scene(entries: dict[str, Any], *, source: str) -> Scene:
     Raises:
         SceneError: names every wrong entry with what is wanted.
     """
-    try:
-        return Scene(**entries)
-    except pydantic.ValidationError as error:
-        problems = "; ".join(_explain(problem) for problem in error.errors())
-        raise SceneError(f"{source}: {problems}.") from error
-
-
-def _reason(error: OSError | UnicodeDecodeError) -> str:
-    """Why a file cannot be read, in words."""
-    if isinstance(error, OSError):
-        return error.strerror or type(error).__name__
-    return "it is no UTF-8 text"
-
-
-def _explain(problem: Any) -> str:
-    """One mistake in words: where, what came, what is wanted."""
-    place = [str(part) for part in problem["loc"] if part not in ("polyp", "myoma")]
-    where = ".".join(place)
-    if problem["type"] == "extra_forbidden":
-        known = _fields_at(place[:-1])
-        return f"{where} is unknown{_meant(place[-1], known)}"
-    if problem["type"] == "value_error":
-        sentence = str(problem["ctx"]["error"]).rstrip(".")
-        return f"{where}: {sentence}" if where else sentence
-    message = problem["msg"]
-    message = message[0].lower() + message[1:]
-    return f"{where} is {problem['input']!r}: {message}"
-
-
-def _fields_at(place: list[str]) -> list[str]:
-    """Names that a table of a scene file may have."""
-    if not place:
-        return list(Scene.model_fields)
-    if place[0] == "lesion":
-        return list(Myoma.model_fields)
-    return list(Surroundings.model_fields)
-
-
-def _meant(name: str, known: Iterable[str]) -> str:
-    """A near miss, or all that is known."""
-    known = list(known)
-    near = [other for other in known if other.startswith(name)]
-    near += difflib.get_close_matches(name, known, n=1)
-    if near:
-        return f"; did you mean {near[0]}"
-    return f"; known are {', '.join(known)}"
+    return validated(Scene, entries, source=source, error=SceneError)

@@ -12,8 +12,9 @@ from jaxgrow.adaptation import adapt_tissue_and_surface, Adapted, Laws
 from jaxgrow.border import Border
 from jaxgrow.clock import Clock
 from jaxgrow.collisions import CollisionFinder
+from jaxgrow.equilibrium.listing import stale
 from jaxgrow.equilibrium.problem import Lists
-from jaxgrow.equilibrium.relax import relax, stale
+from jaxgrow.equilibrium.relax import relax
 from jaxgrow.events import Settling
 from jaxgrow.mesh.fairing import fair
 from jaxgrow.mesh.quality import radius_ratio

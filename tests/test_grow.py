@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 from jaxgrow import adaptation
 from jaxgrow.adaptation import adapt_tissue_and_surface, Laws
 from jaxgrow.audit import audit
-from jaxgrow.equilibrium.relax import stale
+from jaxgrow.equilibrium.listing import stale
 from jaxgrow.grow import end_of, grow, STAGNATION
 from jaxgrow.lesion import height_above
 from jaxgrow.mesh.audit import audit_surface

@@ -158,7 +158,7 @@ def test_file_that_is_no_toml_is_refused(write):
         ("[surroundings]\nradus = 3.0", r"radus is unknown; .* radius"),
         (
             "[parameters]\nadhesoin = 0.1",
-            "'adhesoin' is unknown; did you mean adhesion",
+            "adhesoin is unknown; did you mean adhesion",
         ),
         ("[parameters]\nadhesion = 'a'", "parameter adhesion is 'a'; give a number"),
         ("[parameters]\nadhesion = true", "parameter adhesion is True; give a number"),

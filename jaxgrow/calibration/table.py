@@ -15,7 +15,7 @@ def say_tried(tried: Tried) -> None:
     what = f"loss {tried.loss:.4g}" if tried.failure is None else tried.failure
     kept = ", accepted" if tried.accepted and tried.number else ""
     line = f"evaluation {tried.number} ({tried.how}): {values}: {what}{kept}"
-    print(line, file=sys.stderr, flush=True)  # noqa: T201
+    print(line, file=sys.stderr, flush=True)  # noqa: T201  (the command's progress)
 
 
 def show(fit: Fit) -> None:

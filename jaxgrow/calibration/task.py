@@ -18,21 +18,18 @@ As a TOML file:
 """
 
 import dataclasses
-import difflib
-import tomllib
 import warnings
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
 import pydantic
 
+from jaxgrow.entries import check_names, Positive, read_toml, validated
 from jaxgrow.metrics import ShapeMetrics
 from jaxgrow.parameters import Parameters
 
 
 Finite: TypeAlias = Annotated[float, pydantic.Field(allow_inf_nan=False)]
-Positive: TypeAlias = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)]
 Seed: TypeAlias = Annotated[int, pydantic.Field(ge=0)]
 
 METRICS = tuple(field.name for field in dataclasses.fields(ShapeMetrics))
@@ -162,14 +159,7 @@ def load_task(path: str | Path) -> Task:
         FitError: the file cannot be read, is no TOML, or has a wrong entry; the message
             names each with what is wanted.
     """
-    path = Path(path)
-    try:
-        entries = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        reason = error.strerror or type(error).__name__
-        raise FitError(f"the targets {path} cannot be read: {reason}.") from error
-    except ValueError as error:  # no UTF-8, or no TOML
-        raise FitError(f"the targets {path} are not valid TOML: {error}.") from error
+    entries = read_toml(Path(path), "targets file", FitError)
     return make_task(entries, source=str(path))
 
 
@@ -183,49 +173,10 @@ def make_task(entries: dict[str, Any], *, source: str) -> Task:
     Raises:
         FitError: names every wrong entry with what is wanted.
     """
-    try:
-        return Task(**entries)
-    except pydantic.ValidationError as error:
-        problems = "; ".join(_explain(problem) for problem in error.errors())
-        raise FitError(f"{source}: {problems}.") from error
+    return validated(Task, entries, source=source, error=FitError)
 
 
 def _all_known(given: Any, known: tuple[str, ...]) -> Any:
-    for name in given if isinstance(given, dict) else ():
-        if name not in known:
-            raise ValueError(f"{name} is unknown{_meant(name, known)}")
+    if isinstance(given, dict):
+        check_names(given, known)
     return given
-
-
-def _explain(problem: Any) -> str:
-    """One mistake in words: where, what came, what is wanted."""
-    place = [str(part) for part in problem["loc"]]
-    where = ".".join(place)
-    if problem["type"] == "missing":
-        return f"{where} is missing"
-    if problem["type"] == "extra_forbidden":
-        return f"{where} is unknown{_meant(place[-1], _fields_at(place[:-1]))}"
-    if problem["type"] == "too_short":
-        return f"{where} is empty"
-    if problem["type"] == "value_error":
-        sentence = str(problem["ctx"]["error"]).rstrip(".")
-        return f"{where}: {sentence}" if where else sentence
-    message = problem["msg"]
-    message = message[0].lower() + message[1:]
-    return f"{where} is {problem['input']!r}: {message}"
-
-
-def _fields_at(place: list[str]) -> list[str]:
-    """Names that a table of the file may have."""
-    tables = {"targets": Target, "parameters": Bounds, "fit": Effort}
-    return list((tables[place[0]] if place else Task).model_fields)
-
-
-def _meant(name: str, known: Iterable[str]) -> str:
-    """A near miss, or all that is known."""
-    known = list(known)
-    near = [other for other in known if other.startswith(name)]
-    near += difflib.get_close_matches(name, known, n=1)
-    if near:
-        return f"; did you mean {near[0]}"
-    return f"; known are {', '.join(known)}"

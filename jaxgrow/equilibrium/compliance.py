@@ -5,8 +5,8 @@ from typing import NamedTuple
 import equinox as eqx
 from jaxtyping import Array, Float
 
+from jaxgrow.equilibrium.listing import allocate_lists, fits, prepared
 from jaxgrow.equilibrium.problem import Lists, Problem
-from jaxgrow.equilibrium.relax import _fits, _prepared, _problem, allocate_lists
 from jaxgrow.equilibrium.response import linearise, respond, Response
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
@@ -79,7 +79,7 @@ def linear_response(
     """
     if particles is None and membrane is None:
         raise ValueError("nothing responds: give particles, a membrane, or both.")
-    problem = _problem(particles, membrane, parameters, load)
+    problem = Problem.of(particles, membrane, parameters, load)
     nodes = problem.nodes()
     for name in ("particles", "vertices"):
         _check(f"forces.{name}", getattr(forces, name), getattr(nodes, name))
@@ -114,9 +114,9 @@ def _lists(problem: Problem, lists: Lists | None) -> Lists:
     Raises:
         ValueError: those of collisions are not.
     """
-    if lists is None or not _fits(problem, lists):
+    if lists is None or not fits(problem, lists):
         return allocate_lists(problem)
-    now = _prepared(problem, lists, None)
+    now = prepared(problem, lists, None)
     if lists.collisions is None or problem.membrane is None:
         return now
     collisions, vertices = lists.collisions, problem.membrane.vertices

@@ -78,14 +78,14 @@ def _ravelled(floats: Problem) -> Float[Array, " k"]:
     return ravel_pytree(floats)[0]
 
 
-def _free_forces(floats: Problem, rest: Problem, nodes: Nodes, lists: Lists) -> Nodes:
-    """Forces on what may move, with the rest where the problem has it."""
+def _forces_and_nodes(
+    floats: Problem, rest: Problem, nodes: Nodes, lists: Lists
+) -> tuple[Nodes, Nodes]:
+    """Forces on what may move at the equilibrium, and the problem's own nodes."""
     problem = eqx.combine(floats, rest)
-    free = problem.free()
-    at = jax.tree.map(
-        lambda on, x, own: jnp.where(on > 0, x, own), free, nodes, problem.nodes()
-    )
-    return jax.tree.map(jnp.multiply, free, problem.forces(at, lists))
+    free, own = problem.free(), problem.nodes()
+    at = jax.tree.map(lambda on, x, y: jnp.where(on > 0, x, y), free, nodes, own)
+    return jax.tree.map(jnp.multiply, free, problem.forces(at, lists)), own
 
 
 @jax.jit
@@ -93,17 +93,16 @@ def _forward(residuals: PyTree, flat: Float[Array, " k"]) -> Nodes:
     floats, (rest, nodes, lists, valid) = residuals
     varied = ravel_pytree(floats)[1](flat)
     problem = eqx.combine(floats, rest).at(nodes)
-    _, force = jax.jvp(
-        lambda f: _free_forces(f, rest, nodes, lists), (floats,), (varied,)
+    _, (force, own) = jax.jvp(
+        lambda f: _forces_and_nodes(f, rest, nodes, lists), (floats,), (varied,)
     )
     found = respond(linearise(problem, lists), force)
     good = valid & (found.code == Result.CONVERGED.code)
-    given = eqx.combine(varied, rest).nodes()
 
     def choose(on: Array, free: Array, own: Array) -> Array:
         return jnp.where(good, jnp.where(on > 0, free, own), jnp.nan)
 
-    return jax.tree.map(choose, problem.free(), found.nodes, given)
+    return jax.tree.map(choose, problem.free(), found.nodes, own)
 
 
 @jax.jit
@@ -114,15 +113,7 @@ def _backward(residuals: PyTree, weight: Nodes) -> Float[Array, " k"]:
     masked = jax.tree.map(jnp.multiply, free, weight)
     found = respond(linearise(problem, lists), masked)
     good = valid & (found.code == Result.CONVERGED.code)
-    _, pull = jax.vjp(lambda f: _free_forces(f, rest, nodes, lists), floats)
-    (total,) = pull(found.nodes)
     own = jax.tree.map(lambda on, w: jnp.where(on > 0, 0, w), free, weight)
-
-    def add(problem: Problem) -> Problem:
-        now = eqx.combine(problem, rest).nodes()
-        return eqx.filter(
-            eqx.combine(problem, rest).at(jax.tree.map(jnp.add, now, own)),
-            eqx.is_inexact_array,
-        )
-
-    return jnp.where(good, _ravelled(add(total)), jnp.nan)
+    _, pull = jax.vjp(lambda f: _forces_and_nodes(f, rest, nodes, lists), floats)
+    (total,) = pull((found.nodes, own))
+    return jnp.where(good, _ravelled(total), jnp.nan)

@@ -1,9 +1,10 @@
 """Newton's method from near an equilibrium, to the rounding of the forces.
 
-To a tight tolerance, such as derivatives need, descent takes as many steps again as to
-its usual one; Newton's method takes three or four iterations of a hundred Hessian
-products. Far from an equilibrium the Hessian has negative curvature: this method then
-gives up, with the best positions it had.
+It converges quadratically down to rounding, where L-BFGS stalls. It is not cheaper:
+from a residual of 1e-4 F(0) it takes about as many Hessian products as L-BFGS takes
+steps, and a product costs about two force evaluations. Far from an equilibrium the
+Hessian has negative curvature: this method then gives up, with the best positions it
+had.
 """
 
 import equinox as eqx

@@ -71,6 +71,28 @@ class Problem(eqx.Module):
     parameters: Parameters
     load: Float[Array, "m 3"] | None = None
 
+    @classmethod
+    def of(
+        cls,
+        particles: Particles | None,
+        membrane: Membrane | None,
+        parameters: Parameters | None = None,
+        load: Float[Array, "m 3"] | None = None,
+    ) -> "Problem":
+        """A problem whose parameters, by default `Parameters()`, are arrays.
+
+        A Python float would be a constant of the program, compiled for each value.
+        """
+        given = Parameters() if parameters is None else parameters
+        dtype = cls(particles, membrane, given).dtype
+        arrays: Parameters = jax.tree.map(lambda v: jnp.asarray(v, dtype), given)
+        return cls(particles, membrane, arrays, load)
+
+    @property
+    def dtype(self) -> jnp.dtype:
+        """Of the positions."""
+        return jax.tree.leaves(self.nodes())[0].dtype
+
     def both(self) -> tuple[Particles, Membrane]:
         """Particles and membrane of a problem that has the contact between them."""
         assert self.particles is not None
@@ -189,8 +211,7 @@ class Problem(eqx.Module):
         return Lists(neighbors, contacts, collisions)
 
     def _total(self, lists: Lists, *, pairs: bool) -> Float[Array, ""]:
-        dtype = jax.tree.leaves(self.nodes())[0].dtype
-        total = jnp.zeros((), dtype)
+        total = jnp.zeros((), self.dtype)
         if pairs and lists.neighbors is not None:
             assert self.particles is not None
             listed = nb.listed(lists.neighbors)

@@ -2,40 +2,31 @@
 
 import math
 from collections.abc import Callable
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Literal, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
-from jaxgrow import neighbors as nb
-from jaxgrow.capacity import capacity_for
-from jaxgrow.energy.collision import Collisions
-from jaxgrow.energy.contact import (
-    Contacts,
-    count_contacts,
-    list_contacts,
-    reach,
-)
 from jaxgrow.equilibrium.descent import blank_memory, descend, Minimiser
 from jaxgrow.equilibrium.fire import FIRE
 from jaxgrow.equilibrium.implicit import at_equilibrium, is_differentiated, primal
 from jaxgrow.equilibrium.lbfgs import LBFGS
+from jaxgrow.equilibrium.listing import (
+    allocate_lists,
+    CollisionLister,
+    fits,
+    prepared,
+)
 from jaxgrow.equilibrium.newton import polish
-from jaxgrow.equilibrium.problem import CONTACT_SKIN, Lists, Problem
+from jaxgrow.equilibrium.problem import Lists, Problem
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
 from jaxgrow.state import Membrane, Nodes, Particles
 
 
 Method = Literal["auto", "lbfgs", "fire", "newton"]
-
-CollisionLister: TypeAlias = Callable[
-    [Float[Array, "m 3"], Collisions | None], Collisions
-]
-"""Lists on the host what may collide, given the vertices and the list before."""
 
 LARGEST_STEP = 0.1
 """Longest displacement of a node in one step, in r0."""
@@ -83,19 +74,6 @@ class Relaxation(NamedTuple):
 _descend = eqx.filter_jit(descend)
 _polish = eqx.filter_jit(polish)
 _blank_memory = eqx.filter_jit(blank_memory)
-_count_contacts = eqx.filter_jit(count_contacts)
-
-
-@eqx.filter_jit
-def _list_contacts(
-    particles: Particles, membrane: Membrane, radius: Array, *, capacity: int
-) -> Contacts:
-    return list_contacts(particles, membrane, radius, capacity)
-
-
-@eqx.filter_jit
-def _refresh(problem: Problem, lists: Lists) -> Lists:
-    return problem.update(problem.nodes(), lists)
 
 
 @eqx.filter_jit
@@ -119,51 +97,6 @@ def _set_apart(particles: Particles) -> Particles:
     hair = 1024 * jnp.finfo(position.dtype).eps * size * way
     moved = jnp.where((again & particles.free)[:, None], position + hair, position)
     return eqx.tree_at(lambda p: p.position, particles, moved)
-
-
-def allocate_lists(problem: Problem, before: Lists | None = None) -> Lists:
-    """Lists with room for the current state, and not smaller than before."""
-    neighbors = contacts = None
-    if problem.particles is not None:
-        known = None if before is None else before.neighbors
-        occupancy = 0 if known is None else known.max_occupancy
-        neighbors = nb.allocate(problem.particles.position, occupancy)
-    if problem.particles is not None and problem.membrane is not None:
-        known = None if before is None else before.contacts
-        radius = jnp.asarray(reach(problem.parameters) + CONTACT_SKIN)
-        candidates = _count_contacts(problem.particles, problem.membrane, radius)
-        least = 2048 if known is None else known.particle.shape[0]
-        capacity = capacity_for(int(candidates) // 2, least)
-        while contacts is None or bool(contacts.overflow):
-            contacts = _list_contacts(
-                problem.particles, problem.membrane, radius, capacity=capacity
-            )
-            capacity = capacity_for(capacity + 1, least)
-    return Lists(neighbors, contacts, None if before is None else before.collisions)
-
-
-def _fits(problem: Problem, lists: Lists) -> bool:
-    """Whether lists of an earlier problem have the shapes of this one."""
-    if lists.neighbors is not None:
-        if problem.particles is None:
-            return False
-        if lists.neighbors.idx.shape[0] != problem.particles.position.shape[0]:
-            return False
-    if lists.contacts is not None:
-        if problem.membrane is None or problem.particles is None:
-            return False
-        shapes = tuple(a.shape for a in lists.contacts.reference)
-        now = (problem.particles.position.shape, problem.membrane.vertices.shape)
-        return shapes == now
-    return (problem.particles is None) or (problem.membrane is None)
-
-
-def stale(lists: Lists) -> Lists:
-    """Lists that the next update rebuilds, because faces or species changed."""
-    if lists.contacts is None:
-        return lists
-    moved = jax.tree.map(lambda x: x + 1e6, lists.contacts.reference)
-    return eqx.tree_at(lambda a: a.contacts.reference, lists, moved)
 
 
 def relax(
@@ -235,15 +168,15 @@ def relax(
             f"largest_step is {largest_step}; it must be positive and at most "
             f"{LARGEST_STEP}, or nodes could pass each other within a step."
         )
-    given = _problem(particles, membrane, parameters, load)
+    given = Problem.of(particles, membrane, parameters, load)
     problem = primal(given)
     if problem.particles is not None:
         apart = _set_apart(problem.particles)
         problem = eqx.tree_at(lambda p: p.particles, problem, apart)
     differentiated = is_differentiated(given)
     if differentiated:
-        tolerance = min(tolerance, exact_tolerance(_dtype(given)))
-    if lists is None or not _fits(problem, lists):
+        tolerance = min(tolerance, exact_tolerance(given.dtype))
+    if lists is None or not fits(problem, lists):
         lists = allocate_lists(problem)
     stats = RelaxationStats(math.inf, 0, 0, method)
     result, forces, near = Result.STEP_LIMIT, problem.nodes(), False
@@ -313,10 +246,6 @@ def exact_tolerance(dtype: DTypeLike = jnp.float64) -> float:
     return 1e-10 if jnp.finfo(dtype).bits > 32 else 1e-5
 
 
-def _dtype(problem: Problem) -> jnp.dtype:
-    return jax.tree.leaves(problem.nodes())[0].dtype
-
-
 def _stages(method: str, tolerance: float, parameters: Parameters) -> list[_Stage]:
     """The methods to try in turn, until one reaches the tolerance.
 
@@ -338,23 +267,6 @@ def _stages(method: str, tolerance: float, parameters: Parameters) -> list[_Stag
     return methods[method]
 
 
-def _problem(
-    particles: Particles | None,
-    membrane: Membrane | None,
-    parameters: Parameters | None,
-    load: Float[Array, "m 3"] | None = None,
-) -> Problem:
-    """A problem whose parameters are arrays.
-
-    A Python float would be a constant of the program, compiled for each value.
-    """
-    nodes = Problem(particles, membrane, Parameters()).nodes()
-    dtype = jax.tree.leaves(nodes)[0].dtype
-    given = Parameters() if parameters is None else parameters
-    arrays: Parameters = jax.tree.map(lambda v: jnp.asarray(v, dtype), given)
-    return Problem(particles, membrane, arrays, load)
-
-
 def _run(
     problem: Problem,
     lists: Lists,
@@ -367,15 +279,14 @@ def _run(
 
     Every list that overflows is allocated anew and larger.
     """
-    dtype = _dtype(problem)
     steps = overflows = 0
     memory = None
     if minimiser is not None and (collide is not None or observe is not None):
         memory = _blank_memory(problem, minimiser)
     while True:
-        lists = _prepared(problem, lists, collide)
-        tolerance = jnp.asarray(limits.tolerance, dtype)
-        largest = jnp.asarray(limits.largest_step, dtype)
+        lists = prepared(problem, lists, collide)
+        tolerance = jnp.asarray(limits.tolerance, problem.dtype)
+        largest = jnp.asarray(limits.largest_step, problem.dtype)
         if minimiser is None:
             outcome = _polish(problem, lists, tolerance, largest)
             made = int(outcome.products)
@@ -400,14 +311,3 @@ def _run(
             return _Found(
                 outcome.nodes, outcome.force, lists, result, residual, steps, overflows
             )
-
-
-def _prepared(problem: Problem, lists: Lists, collide: CollisionLister | None) -> Lists:
-    """Lists that are valid for where the problem is now."""
-    now = _refresh(problem, Lists(lists.neighbors, lists.contacts))
-    if bool(now.overflow):
-        now = allocate_lists(problem, now)
-    if collide is None or problem.membrane is None:
-        return now
-    found = collide(problem.membrane.vertices, lists.collisions)
-    return Lists(now.neighbors, now.contacts, found)

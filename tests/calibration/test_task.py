@@ -74,5 +74,5 @@ def test_a_file_that_is_absent_or_no_toml_is_refused(tmp_path):
         load_task(tmp_path / "absent.toml")
     wrong = tmp_path / "wrong.toml"
     wrong.write_text("targets =")
-    with pytest.raises(FitError, match="are not valid TOML"):
+    with pytest.raises(FitError, match="is not valid TOML"):
         load_task(wrong)

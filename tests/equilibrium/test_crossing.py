@@ -8,8 +8,8 @@ import pytest
 from jaxgrow.equilibrium.descent import descend
 from jaxgrow.equilibrium.fire import FIRE
 from jaxgrow.equilibrium.lbfgs import LBFGS
+from jaxgrow.equilibrium.listing import allocate_lists
 from jaxgrow.equilibrium.problem import Problem
-from jaxgrow.equilibrium.relax import allocate_lists
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
 

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from jaxgrow.equilibrium import newton
+from jaxgrow.equilibrium.listing import allocate_lists
 from jaxgrow.equilibrium.newton import polish
 from jaxgrow.equilibrium.problem import Problem
-from jaxgrow.equilibrium.relax import allocate_lists, relax
+from jaxgrow.equilibrium.relax import relax
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
 

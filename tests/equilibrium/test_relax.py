@@ -13,8 +13,9 @@ from scipy.spatial import KDTree
 
 from jaxgrow.energy.a2 import A2
 from jaxgrow.energy.pair import pair_force
+from jaxgrow.equilibrium.listing import allocate_lists, stale
 from jaxgrow.equilibrium.problem import Lists, Problem
-from jaxgrow.equilibrium.relax import allocate_lists, relax, stale
+from jaxgrow.equilibrium.relax import relax
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
 from jaxgrow.state import Membrane

@@ -8,8 +8,9 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from jaxgrow.equilibrium import response
+from jaxgrow.equilibrium.listing import allocate_lists
 from jaxgrow.equilibrium.problem import Problem
-from jaxgrow.equilibrium.relax import allocate_lists, relax
+from jaxgrow.equilibrium.relax import relax
 from jaxgrow.equilibrium.response import linearise, respond, solve
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
