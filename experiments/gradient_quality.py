@@ -1,16 +1,18 @@
 """How exact a gradient through growth is, what it costs, and what it is worth.
 
     python experiments/gradient_quality.py exactness --divisions 10 50
-    python experiments/gradient_quality.py sweep --points 25 --seeds 4
+    python experiments/gradient_quality.py sweep --points 20 --seeds 4
 
 *exactness* compares the reverse derivative of five metrics, in every parameter, with
 central differences of replays along the frozen path, and measures seconds and memory.
 *sweep* grows anew at every stiffness of a decade, for several seeds, and compares the
-slope of what comes out with the gradient on the way. Each writes its figures to
-``experiments/results/gradient_<part>.json`` and a picture beside it.
+slope of what comes out with the gradients on the way, averaged over 1, 2, ... seeds.
+Each writes its figures to ``experiments/results/gradient_<part>.json`` and a picture
+beside it.
 """
 
 import argparse
+import itertools
 import json
 import sys
 import time
@@ -25,6 +27,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import jaxgrow as jg
+from jaxgrow.calibration.growths import LesionGrower
+from jaxgrow.calibration.task import make_task
 
 
 mpl.use("Agg")
@@ -37,8 +41,19 @@ METRICS = ("height_mm", "width_mm", "neck_width_mm", "volume_mm3", "area_mm2")
 
 NAMES = tuple(field.name for field in fields(jg.Parameters))
 
-STEP, TIGHT = 1e-5, 1e-13
-"""Relative step of a difference, and tolerance of the replays it is made of."""
+STEPS = (1e-6, 1e-7, 1e-5)
+"""Relative steps of differences: larger ones cross kinks of the energy, smaller ones
+show rounding. One is enough if it agrees to `AGREES`; else the best of them counts."""
+
+AGREES = 1e-5
+
+SWEPT = ("height_mm", "area_mm2", "sphericity", "tip_curvature_per_mm")
+
+DECADE = (0.0126, 0.126)
+"""Of spring stiffness, around the default."""
+
+TIGHT = 1e-13
+"""Tolerance of the replays that differences are made of."""
 
 
 def scene_of(divisions: int) -> jg.Scene:
@@ -116,20 +131,29 @@ def exactness(options: argparse.Namespace) -> dict[str, Any]:
             if options.only and name not in options.only:
                 continue
             value = scale[number]
-            ends = [
-                np.asarray(
-                    along(
-                        replace(start, **{name: jnp.asarray(value * (1 + s * STEP))}),
-                        tolerance=TIGHT,
+
+            def slope_with(step: float, name: str = name, value: float = value) -> Any:
+                ends = [
+                    np.asarray(
+                        along(
+                            replace(start, **{name: jnp.asarray(value * (1 + h))}),
+                            tolerance=TIGHT,
+                        )
                     )
-                )
-                for s in (1, -1)
-            ]
-            slope = (ends[0] - ends[1]) / (2 * STEP * value)
+                    for h in (step, -step)
+                ]
+                return (ends[0] - ends[1]) / (2 * step * value)
+
             # a slope is measured against the largest one of that metric, per change
             least = 1e-9 * np.abs(table * scale).max(axis=1) / value
-            error = np.abs(slope - table[:, number])
-            relative = error / np.maximum(np.abs(slope), np.maximum(least, 1e-300))
+            relative = np.full(len(METRICS), np.inf)
+            for step in STEPS:
+                slope = slope_with(step)
+                error = np.abs(slope - table[:, number])
+                error /= np.maximum(np.abs(slope), np.maximum(least, 1e-300))
+                relative = np.minimum(relative, error)
+                if relative.max() <= AGREES:
+                    break
             row["errors"][name] = dict(zip(METRICS, relative.tolist(), strict=True))
             print(divisions, name, relative, file=sys.stderr, flush=True)
         errors = [e for row_ in row["errors"].values() for e in row_.values()]
@@ -162,77 +186,88 @@ def draw_exactness(rows: list[dict[str, Any]]) -> None:
 
 def sweep(options: argparse.Namespace) -> dict[str, Any]:
     """Grow anew at each stiffness; compare slopes of the outcome with gradients."""
-    scene = scene_of(options.size)
-    values = np.geomspace(0.0126, 0.126, options.points)
-    heights = np.full((options.seeds, options.points), np.nan)
-    slopes = heights.copy()
+    entries = {
+        "targets": dict.fromkeys(SWEPT, (0.0, 1.0)),
+        "parameters": {"spring_stiffness": (DECADE[0] / 2, 2 * DECADE[1])},
+    }
+    grower = LesionGrower(scene_of(options.size), make_task(entries, source="sweep"))
+    values = np.geomspace(*DECADE, options.points)
+    found = np.full((options.seeds, options.points, len(SWEPT)), np.nan)
+    slopes = found.copy()
     for seed in range(options.seeds):
-        for place, value in enumerate(values):
-
-            def height(k: Any, s: int = seed) -> Any:
-                parameters = replace(arrays(jg.Parameters()), spring_stiffness=k)
-                found = metrics(scene, parameters, options.smoothing, seed=s)
-                return found[METRICS.index(options.metric)]
-
-            at = jax.value_and_grad(height)(jnp.asarray(value))
-            heights[seed, place], slopes[seed, place] = map(float, at)
-            print(seed, value, *map(float, at), file=sys.stderr, flush=True)
-        figures = compare(
-            options.metric, values, heights[: seed + 1], slopes[: seed + 1]
-        )
+        for place, value in enumerate(values.tolist()):
+            measured = grower.measure(seed, (value,))
+            along = grower.slopes(seed, (value,))
+            if measured.success and along:
+                found[seed, place] = measured.metrics
+                slopes[seed, place] = np.array(along)[:, 0] * value
+            print(seed, value, *found[seed, place], file=sys.stderr, flush=True)
+        figures: dict[str, Any] = {
+            "divisions": options.size,
+            "seeds": seed + 1,
+            "values": values.tolist(),
+            "metrics": {
+                name: compare(values, found[: seed + 1, :, k], slopes[: seed + 1, :, k])
+                for k, name in enumerate(SWEPT)
+            },
+        }
         write("sweep", figures)
         draw_sweep(figures)
     return figures
 
 
 def compare(
-    metric: str,
     values: Float[np.ndarray, " p"],
     found: Float[np.ndarray, "s p"],
     slopes: Float[np.ndarray, "s p"],
 ) -> dict[str, Any]:
     """Per ln k: the trend of the metric over the decade, and the gradients."""
-    x = np.log(values)
-    trend = np.polynomial.Polynomial.fit(x, found.mean(axis=0), 3)
-    along = slopes * values  # per ln k
-    wrong = np.sign(along) != np.sign(trend.deriv()(x))
-    mean = along.mean(axis=0)
+    x = np.tile(np.log(values), len(found)).reshape(found.shape)
+    known = np.isfinite(found) & np.isfinite(slopes)
+    trend = np.polynomial.Polynomial.fit(x[known], found[known], 3)
+    wanted = trend.deriv()(x[0])
+    jumps = np.abs(np.diff(found, axis=1))
+    wrong = {}
+    for number in range(1, len(found) + 1):
+        groups = itertools.combinations(range(len(found)), number)
+        means = np.array([slopes[list(group)].mean(axis=0) for group in groups])
+        sure = np.isfinite(means)
+        wrong[number] = float((means * wanted < 0)[sure].mean())
     return {
-        "metric": metric,
-        "values": values.tolist(),
         "found": found.tolist(),
-        "slope_per_ln_k": along.tolist(),
-        "trend": trend(x).tolist(),
-        "trend_slope_per_ln_k": trend.deriv()(x).tolist(),
-        "spread_over_seeds": float(found.std(axis=0).mean()),
-        "roughness": float(np.abs(found - trend(x)).mean()),
-        "wrong_way_one_seed": float(wrong.mean()),
-        "wrong_way_mean_of_seeds": float(
-            (np.sign(mean) != np.sign(trend.deriv()(x))).mean()
-        ),
-        "correlation_of_mean_with_trend": float(
-            np.corrcoef(mean, trend.deriv()(x))[0, 1]
+        "slope_per_ln_k": slopes.tolist(),
+        "trend": trend(x[0]).tolist(),
+        "trend_slope_per_ln_k": wanted.tolist(),
+        "scatter_around_trend": float(np.std((found - trend(x))[known], ddof=4)),
+        "median_jump_between_neighbours": float(np.nanmedian(jumps)),
+        "wrong_way_by_seeds_averaged": wrong,
+        "mean_slope_over_trend_slope": float(
+            np.nanmean(slopes) / (trend(x[0, -1]) - trend(x[0, 0])) * np.ptp(x[0])
         ),
     }
 
 
 def draw_sweep(figures: dict[str, Any]) -> None:
-    """The metric and its gradients over the decade."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4))
+    """The metrics and their gradients over the decade."""
     x = figures["values"]
-    for row, slope in zip(figures["found"], figures["slope_per_ln_k"], strict=True):
-        left.semilogx(x, row, ".-", lw=0.7, alpha=0.6)
-        right.semilogx(x, slope, ".", alpha=0.4)
-    left.semilogx(x, figures["trend"], "k", label="trend of the mean")
-    mean = np.mean(figures["slope_per_ln_k"], axis=0)
-    right.semilogx(x, mean, "C3-", label="mean of the frozen-path gradients")
-    right.semilogx(x, figures["trend_slope_per_ln_k"], "k", label="slope of the trend")
-    left.set(xlabel="spring stiffness", ylabel=figures["metric"])
-    right.set(xlabel="spring stiffness", ylabel=f"∂ {figures['metric']} / ∂ ln k")
-    left.legend(fontsize=8)
-    right.legend(fontsize=8)
+    figure, axes = plt.subplots(2, len(SWEPT), figsize=(4 * len(SWEPT), 6.5))
+    for (top, bottom), (name, row) in zip(
+        axes.T, figures["metrics"].items(), strict=True
+    ):
+        for found, slope in zip(row["found"], row["slope_per_ln_k"], strict=True):
+            top.semilogx(x, found, ".-", lw=0.5, alpha=0.6)
+            bottom.semilogx(x, slope, ".", alpha=0.6)
+        top.semilogx(x, row["trend"], "k", label="trend")
+        mean = np.mean(row["slope_per_ln_k"], axis=0)
+        bottom.semilogx(x, mean, "C3-", label="frozen path, mean of seeds")
+        bottom.semilogx(x, row["trend_slope_per_ln_k"], "k", label="slope of the trend")
+        bottom.axhline(0, color="0.8", lw=0.8)
+        top.set(title=name)
+        bottom.set(xlabel="spring stiffness", ylabel="per ln k")
+    axes[0, 0].legend(fontsize=8)
+    axes[1, 0].legend(fontsize=8)
     figure.tight_layout()
-    figure.savefig(RESULTS / "gradient_sweep.png", dpi=110)
+    figure.savefig(RESULTS / "gradient_sweep.png", dpi=90)
     plt.close(figure)
 
 
@@ -249,11 +284,9 @@ def main() -> None:
     parser.add_argument("part", choices=["exactness", "sweep"])
     parser.add_argument("--divisions", type=int, nargs="*", default=[10, 50, 200])
     parser.add_argument("--only", nargs="*", default=[], help="parameters")
-    parser.add_argument("--size", type=int, default=60, help="divisions of the sweep")
-    parser.add_argument("--points", type=int, default=40)
+    parser.add_argument("--size", type=int, default=30, help="divisions of the sweep")
+    parser.add_argument("--points", type=int, default=20)
     parser.add_argument("--seeds", type=int, default=4)
-    parser.add_argument("--metric", choices=METRICS, default="height_mm")
-    parser.add_argument("--smoothing", type=float, default=0.05)
     options = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     figures = {"exactness": exactness, "sweep": sweep}[options.part](options)

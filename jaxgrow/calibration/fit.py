@@ -46,9 +46,9 @@ def fit(
 
     Lesions differ from seed to seed, small ones (ten divisions) by a third in height,
     and a parameter that changes by a per cent changes the packing as another seed does.
-    So the fit is that of the mean over its seeds; more seeds, or larger lesions, make
-    it sharper. The uncertainties do not know that the best of several evaluations is
-    in part the luckiest one.
+    So the fit is that of the mean over its seeds, and what it says of a point is a
+    regression over the lesions of all points near it, not the luck of that one. More
+    seeds, or larger lesions, make it sharper.
 
     Args:
         scene: what to grow. Its parameters hold where none is fitted.
@@ -94,13 +94,11 @@ def fit(
         optimiser=optimiser,
         progress=progress,
     )
-    slope = loss.slope(found.best)
-    fitted = fitted_parameters(coordinates, found.best, slope, loss)
-    achieved = achieved_targets(task, found, slope, loss)
+    fitted = fitted_parameters(coordinates, found.best, found.estimate)
+    achieved = achieved_targets(task, found)
     outcome = Outcome.NOT_GROWN
-    if math.isfinite(found.best.loss):
-        reached = all(target.reached for target in achieved)
-        outcome = Outcome.REACHED if reached else Outcome.UNREACHED
+    if found.estimate is not None:
+        outcome = Outcome.REACHED if found.estimate.reached else Outcome.UNREACHED
     changed = dict(zip(task.parameters, found.best.values, strict=True))
     own = replace(scene.parameters, **changed)
     result = Fit(
@@ -108,7 +106,7 @@ def fit(
         task=task,
         outcome=outcome,
         end=found.end,
-        loss=found.best.loss,
+        loss=math.inf if found.estimate is None else found.estimate.loss,
         parameters=dict(zip(task.parameters, fitted, strict=True)),
         targets=dict(zip(task.targets, achieved, strict=bool(achieved))),
         history=found.history,

@@ -1,24 +1,27 @@
-r"""The loss of parameters, and what is known of it to second order.
+r"""The loss of parameters, and what all lesions that were grown say of it.
 
 .. math:: L(p) = \frac12 \sum_t \Big(\frac{\bar m_t(p) - m_t}{\sigma_t}\Big)^2
 
 with the mean :math:`\bar m_t` of a metric over the seeds. It is the loss of the mean,
 not the mean of losses: that one is larger by the variance over seeds, and would prefer
-parameters under which lesions differ less over those that give the right shape. The
-seeds are the same in every evaluation, so the loss is a function of the parameters
-alone: it is deterministic, piecewise smooth, and jumps where a growth chooses
-otherwise.
+parameters under which lesions differ less over those that give the right shape.
 
-*Sensitivities.* The derivative of a growth is that of its frozen choices, and misses
-how the choices respond. The evaluations show it: with the differences
-:math:`\Delta u_k, \Delta m_k` to the others, weighted by
-:math:`w_k = e^{-|\Delta u_k|^2}`, the sensitivities are the solution of
+*Estimates.* A parameter that changes by a fraction of a per cent changes the packing of
+a lesion as another seed does. So the metrics of two evaluations scatter, and the point
+with the least loss is in part the luckiest one; and the derivative of a growth, which
+is that of its frozen choices, misses how the choices respond. Both are mended by what
+the other evaluations show: with their distances :math:`\Delta u_k` in the unconstrained
+coordinates, the residuals :math:`r_{ks} = (m_{ks} - m)/\sigma` of each seed, and the
+frozen sensitivities :math:`J_0`, a local linear regression (Cleveland 1979) takes, with
+:math:`w_k = e^{-|\Delta u_k|^2}`,
 
-.. math:: \min_J\; \sum_k w_k |\Delta m_k - J \Delta u_k|^2 + \mu |J - J_0|^2,
+.. math:: \min_{a_s, J_s}\; \sum_k w_k |r_{ks} - a_s - J_s \Delta u_k|^2
+          + \mu |J_s - J_0|^2 .
 
-the change from the frozen ones, :math:`J_0`, that is least for what was seen
-(Broyden's update, for several differences at once). Over small steps
-(:math:`|\Delta u|^2 \ll \mu`) differences are noise, and the derivative counts.
+:math:`\bar a` are the residuals and :math:`\bar J` the sensitivities of the mean
+lesion. Where a point stands alone they are its own and the frozen ones. Since every
+seed has its own regression, their spread is the error of the estimate, whether lesions
+of one seed are alike or not.
 """
 
 import math
@@ -34,8 +37,11 @@ from jaxgrow.calibration.growths import Growths, Values
 from jaxgrow.calibration.task import Task
 
 
-TRUST = 0.1
+TRUST = 0.03
 """μ, the weight of the frozen derivatives, in squared unconstrained coordinates."""
+
+SLOPES = 4
+"""Seeds whose derivatives are averaged, at most; they differ less than the metrics."""
 
 
 class Evaluation(NamedTuple):
@@ -44,7 +50,7 @@ class Evaluation(NamedTuple):
     Attributes:
         u: unconstrained coordinates of the parameters.
         values: the parameters.
-        loss: infinite if a growth failed.
+        loss: of the lesions of this point alone; infinite if a growth failed.
         metrics: of every seed; None if a growth failed.
         failure: the seed and the result of that growth, in words; None if none failed.
     """
@@ -56,23 +62,52 @@ class Evaluation(NamedTuple):
     failure: str | None
 
 
-class Slope(NamedTuple):
-    """Derivatives at a point, in the unconstrained coordinates.
+class Estimate(NamedTuple):
+    """What all evaluations say of a point.
 
     Attributes:
-        jacobian: of the residuals (mean - target) / uncertainty, corrected by what
-            other evaluations show.
-        frozen: the same, as the growths' derivatives alone have it.
-        gradient: of the loss.
-        curvature: Gauss-Newton's, JᵀJ.
-        seeds: number of seeds that have a derivative; the others are left out.
+        residuals: (metric - target) / uncertainty, for every seed.
+        jacobian: sensitivities of their mean, in the unconstrained coordinates.
+        informed: whether evaluations tell more of the sensitivities than the frozen
+            ones do, in every direction.
     """
 
+    residuals: Float[np.ndarray, "s t"]
     jacobian: Float[np.ndarray, "t p"]
-    frozen: Float[np.ndarray, "t p"]
-    gradient: Float[np.ndarray, " p"]
-    curvature: Float[np.ndarray, "p p"]
-    seeds: int
+    informed: bool
+
+    @property
+    def residual(self) -> Float[np.ndarray, " t"]:
+        """Of the mean over the seeds."""
+        return self.residuals.mean(axis=0)
+
+    @property
+    def loss(self) -> float:
+        """Of the mean over the seeds."""
+        return float(np.sum(self.residual**2) / 2)
+
+    @property
+    def gradient(self) -> Float[np.ndarray, " p"]:
+        """Of the loss."""
+        return self.jacobian.T @ self.residual
+
+    @property
+    def curvature(self) -> Float[np.ndarray, "p p"]:
+        """Gauss-Newton's, JᵀJ."""
+        return self.jacobian.T @ self.jacobian
+
+    @property
+    def scatter(self) -> Float[np.ndarray, "t t"]:
+        """Covariance of the mean residual, S/N; 0 for one seed, which tells nothing."""
+        seeds, targets = self.residuals.shape
+        if seeds == 1:
+            return np.zeros((targets, targets))
+        return np.cov(self.residuals, rowvar=False).reshape(targets, targets) / seeds
+
+    @property
+    def reached(self) -> bool:
+        """Whether every target is within its uncertainty."""
+        return bool(np.all(np.abs(self.residual) <= 1))
 
 
 class Loss:
@@ -104,47 +139,44 @@ class Loss:
                 return Evaluation(u, values, math.inf, None, failure)
             metrics.append(measured.metrics)
         rows = np.array(metrics, float)
-        loss = float(np.sum(self.residual(rows) ** 2) / 2)
+        loss = float(np.sum(self._residuals(rows).mean(axis=0) ** 2) / 2)
         found = Evaluation(u, values, loss, rows, None)
         self._seen.append(found)
         return found
 
-    def residual(self, metrics: Float[np.ndarray, "s t"]) -> Float[np.ndarray, " t"]:
-        """(mean - target) / uncertainty of every target."""
-        return (metrics.mean(axis=0) - self.target) / self.uncertainty
-
-    def is_reached(self, at: Evaluation) -> bool:
-        """Whether every target is within its uncertainty."""
-        if at.metrics is None:
-            return False
-        return bool(np.all(np.abs(self.residual(at.metrics)) <= 1))
-
-    def slope(self, at: Evaluation) -> Slope | None:
-        """Derivatives at a point; None if no seed has one, or a growth failed."""
+    def frozen(self, at: Evaluation) -> Float[np.ndarray, "t p"] | None:
+        """Mean sensitivities of growths with frozen choices; None if none has any."""
         if at.metrics is None:
             return None
-        slopes = [self._growths.slopes(seed, at.values) for seed in self._seeds]
+        seeds = self._seeds[:SLOPES]
+        slopes = [self._growths.slopes(seed, at.values) for seed in seeds]
         found = [np.array(rows, float) for rows in slopes if rows]
         if not found:
             return None
         in_u = np.asarray(self.coordinates.slopes(jnp.asarray(at.u)))
-        frozen = np.mean(found, axis=0) * in_u / self.uncertainty[:, None]
-        jacobian = self._corrected(frozen, at)
-        gradient = jacobian.T @ self.residual(at.metrics)
-        return Slope(jacobian, frozen, gradient, jacobian.T @ jacobian, len(found))
+        return np.mean(found, axis=0) * in_u / self.uncertainty[:, None]
 
-    def _corrected(
-        self, frozen: Float[np.ndarray, "t p"], at: Evaluation
-    ) -> Float[np.ndarray, "t p"]:
-        """The least change of the sensitivities for the differences that were seen."""
-        assert at.metrics is not None
-        square = TRUST * np.eye(len(at.u))
-        mixed = TRUST * frozen
+    def estimate(
+        self, u: Float[np.ndarray, " p"], frozen: Float[np.ndarray, "t p"]
+    ) -> Estimate:
+        """What all evaluations say of a point; at least one must have grown."""
+        number = len(u)
+        square = np.diag([0.0, *[TRUST] * number])
+        prior = np.vstack([np.zeros(len(frozen)), TRUST * frozen.T])
+        mixed = np.repeat(prior[None], len(self._seeds), axis=0)
         for other in self._seen:
             assert other.metrics is not None
-            du = other.u - at.u
-            dm = self.residual(other.metrics) - self.residual(at.metrics)
-            weight = math.exp(-float(du @ du))
-            square = square + weight * np.outer(du, du)
-            mixed = mixed + weight * np.outer(dm, du)
-        return np.linalg.solve(square, mixed.T).T
+            away = other.u - u
+            line = np.array([1.0, *away])
+            weighted = math.exp(-float(away @ away)) * line
+            square += np.outer(weighted, line)
+            mixed += weighted[:, None] * self._residuals(other.metrics)[:, None]
+        found = np.linalg.solve(square, mixed)
+        # what is left of the slopes' information when the intercept is free
+        told = square[1:, 1:] - np.outer(square[0, 1:], square[0, 1:]) / square[0, 0]
+        told = told - TRUST * np.eye(number)
+        informed = float(np.linalg.eigvalsh(told)[0]) > TRUST
+        return Estimate(found[:, 0], found[:, 1:].mean(axis=0).T, informed)
+
+    def _residuals(self, metrics: Float[np.ndarray, "s t"]) -> Float[np.ndarray, "s t"]:
+        return (metrics - self.target) / self.uncertainty

@@ -1,16 +1,19 @@
 r"""The search: an optimiser's steps along gradients, then a derivative-free method.
 
-1. The optimiser (any of optax) proposes a step from the gradient at the best point.
-2. The lesions are grown anew there. Only if the loss falls the step is accepted; else
-   it is halved, up to `HALVINGS` times. The derivative is that of a growth with frozen
-   choices (see `jaxgrow.grow`), so it may well propose what is no improvement. What
-   the refused points show corrects it (`jaxgrow.calibration.loss`), for another step.
-3. If `STEPS` such steps in turn are refused, or the derivative does not exist, or it
-   vanishes where a target is not reached, or the start cannot be grown, Nelder and
-   Mead's simplex (SciPy) goes on from the best point.
+1. The optimiser (any of optax) proposes a step from the gradient at the best point. It
+   is that of the growths there, until other evaluations tell more of it.
+2. The lesions are grown anew there. Only if the loss falls, as all lesions grown so far
+   tell it (`jaxgrow.calibration.loss.Estimate`), the step is accepted; else the next is
+   half as long. The derivative is that of a growth with frozen choices (see
+   `jaxgrow.grow`), so it may well propose what is no improvement; what a refused point
+   shows corrects it.
+3. If `REFUSALS` steps in turn are refused, or the derivative does not exist, or it
+   vanishes where a target is not reached and the evaluations do not tell why, Nelder
+   and Mead's simplex (SciPy) goes on from the best point.
 
-It ends when all targets are reached and a Gauss-Newton step promises less than `GAIN`,
-when the simplex has shrunk, or when the evaluations are used up.
+It ends when a step promises less than `GAIN`, or less than a quarter of what the
+scatter over the seeds leaves open; when the simplex has shrunk; or when the evaluations
+are used up. The fit is the point where the estimated loss is least.
 """
 
 import enum
@@ -26,17 +29,18 @@ from jaxtyping import Float
 from scipy.optimize import minimize
 
 from jaxgrow.calibration.growths import Values
-from jaxgrow.calibration.loss import Evaluation, Loss, Slope
+from jaxgrow.calibration.loss import Estimate, Evaluation, Loss
 
 
-HALVINGS = 2
-"""How often a step that does not lower the loss is halved."""
-
-STEPS = 2
-"""Steps from one point that may be refused, with all their halves."""
+REFUSALS = 6
+"""Steps in turn that may be refused."""
 
 GAIN = 1e-3
 """Loss that a further step must promise; the loss is 1/2 at one standard deviation."""
+
+SETTLED = 1 / 16
+"""The same, as a share of what the scatter over the seeds lets a step seem to promise:
+a step is then half as long as it is uncertain."""
 
 LARGEST = 1.0
 """Length of a step, in unconstrained coordinates."""
@@ -66,8 +70,9 @@ class Tried(NamedTuple):
     Attributes:
         number: of the evaluation, from 0.
         how: "start", "gradient" or "derivative-free".
-        accepted: whether it was better than all before.
-        loss: infinite if a growth failed.
+        accepted: whether the search went on from it: the loss, as all lesions grown
+            so far tell it, is less than before ("derivative-free": its own loss is).
+        loss: of the lesions of this point alone; infinite if a growth failed.
         values: the parameters.
         metrics: means over the seeds, in the order of the targets; None if a growth
             failed.
@@ -95,12 +100,14 @@ class Search(NamedTuple):
     """What a search found.
 
     Attributes:
-        best: the point with the least loss.
+        best: the point with the least estimated loss; the start if nothing grew.
+        estimate: of what all lesions say of it; None if nothing grew.
         end: why it ended.
         history: all points, in their order.
     """
 
     best: Evaluation
+    estimate: Estimate | None
     end: End
     history: tuple[Tried, ...]
 
@@ -125,7 +132,7 @@ def gauss_newton(
     def update(
         updates: Any,
         state: Any,
-        params: Any = None,  # noqa: ARG001
+        params: Any = None,  # noqa: ARG001  (as optax calls it)
         **extra: Any,
     ) -> tuple[Any, Any]:
         damped = extra["curvature"] + damping * jnp.eye(len(updates))
@@ -138,43 +145,74 @@ def gauss_newton(
 
 
 class _Trail:
-    """Evaluations in their order, within the allowed number."""
+    """Evaluations in their order, within the allowed number.
+
+    Attributes:
+        history: all of them.
+        points: those that grew to their end.
+        best: the one with the least loss of its own, or the start.
+        frozen: the sensitivities that were asked for last; 0 before.
+    """
 
     def __init__(
         self, loss: Loss, evaluations: int, progress: Callable[[Tried], None] | None
     ) -> None:
-        self._loss, self._allowed, self._progress = loss, evaluations, progress
+        self.loss, self._allowed, self._progress = loss, evaluations, progress
         self._known: dict[bytes, Evaluation] = {}
         self.history: list[Tried] = []
+        self.points: list[Evaluation] = []
         self.best: Evaluation | None = None
+        self.frozen = np.zeros((len(loss.target), len(loss.coordinates.low)))
 
-    def evaluate(self, u: Float[np.ndarray, " p"], how: str) -> Evaluation:
-        """The loss at a point, which counts unless it was there before."""
+    def evaluate(
+        self, u: Float[np.ndarray, " p"], how: str, at: Evaluation | None = None
+    ) -> tuple[Evaluation, bool]:
+        """The loss at a point, which counts unless it was there before.
+
+        Args:
+            u: the point.
+            how: "start", "gradient" or "derivative-free".
+            at: the point whose estimated loss must fall; if None, the loss as measured
+                must be less than all before.
+
+        Returns:
+            The evaluation, and whether it is accepted.
+        """
         u = np.clip(np.round(u, _DIGITS), -FURTHEST, FURTHEST)
         if u.tobytes() in self._known:
-            return self._known[u.tobytes()]
+            return self._known[u.tobytes()], False
         if len(self.history) == self._allowed:
             raise _Exhausted
-        found = self._known[u.tobytes()] = self._loss(u)
-        better = self.best is None or found.loss < self.best.loss
-        if better:
+        found = self._known[u.tobytes()] = self.loss(u)
+        least = self.best is None or found.loss < self.best.loss
+        if least:
             self.best = found
+        if found.metrics is None:
+            accepted = False
+        elif at is None:
+            accepted = least
+        else:
+            accepted = self.estimate(found).loss < self.estimate(at).loss
+        if found.metrics is not None:
+            self.points.append(found)
+        self._tell(found, how, accepted=accepted)
+        return found, accepted
+
+    def estimate(self, at: Evaluation) -> Estimate:
+        """What all evaluations say of a point that grew."""
+        return self.loss.estimate(at.u, self.frozen)
+
+    def _tell(self, found: Evaluation, how: str, *, accepted: bool) -> None:
         metrics = None
         if found.metrics is not None:
             metrics = tuple(found.metrics.mean(axis=0).tolist())
+        number = len(self.history)
         tried = Tried(
-            len(self.history),
-            how,
-            better and math.isfinite(found.loss),
-            found.loss,
-            found.values,
-            metrics,
-            found.failure,
+            number, how, accepted, found.loss, found.values, metrics, found.failure
         )
         self.history.append(tried)
         if self._progress is not None:
             self._progress(tried)
-        return found
 
 
 def search(
@@ -190,58 +228,70 @@ def search(
     Args:
         loss: to be made small.
         start: unconstrained coordinates.
-        evaluations: at most; the derivatives of an accepted point come on top.
+        evaluations: at most; derivatives come on top.
         optimiser: proposes steps; `gauss_newton` if None. An optimiser that takes
             extra arguments is given `curvature`.
         progress: called after every evaluation.
     """
     trail = _Trail(loss, evaluations, progress)
-    at = trail.evaluate(start, "start")
+    at, _ = trail.evaluate(start, "start")
     try:
-        end = _along_gradients(loss, trail, at, optimiser or gauss_newton())
+        end = _along_gradients(trail, at, optimiser or gauss_newton())
         if end is None:
             end = _without_derivatives(trail)
     except _Exhausted:
         end = End.EXHAUSTED
-    assert trail.best is not None
-    return Search(trail.best, end, tuple(trail.history))
+    if not trail.points:
+        return Search(at, None, end, tuple(trail.history))
+    best = min(trail.points, key=lambda point: trail.estimate(point).loss)
+    return Search(best, trail.estimate(best), end, tuple(trail.history))
 
 
 def _along_gradients(
-    loss: Loss, trail: _Trail, at: Evaluation, optimiser: optax.GradientTransformation
+    trail: _Trail, at: Evaluation, optimiser: optax.GradientTransformation
 ) -> End | None:
     """The end if there is nothing left to gain; None if the gradients fail."""
+    if at.metrics is None:
+        return None
     extended = optax.with_extra_args_support(optimiser)
     state, share, refused = extended.init(jnp.asarray(at.u)), 1.0, 0
-    while refused < STEPS:
-        slope = loss.slope(at)
-        if slope is None:
-            return None
-        if promised(slope) < GAIN:
-            return End.CONVERGED if loss.is_reached(at) else None
+    while refused < REFUSALS:
+        here = trail.estimate(at)
+        if not here.informed:
+            frozen = trail.loss.frozen(at)
+            if frozen is None:
+                return None
+            trail.frozen = frozen
+            here = trail.estimate(at)
+        if _is_settled(here):
+            return End.CONVERGED if here.reached or here.informed else None
         update, proposed = extended.update(
-            jnp.asarray(slope.gradient),
+            jnp.asarray(here.gradient),
             state,
             jnp.asarray(at.u),
-            curvature=jnp.asarray(slope.curvature),
+            curvature=jnp.asarray(here.curvature),
         )
-        step = np.asarray(jax.tree.leaves(update)[0])
-        for _ in range(HALVINGS + 1):
-            found = trail.evaluate(at.u + share * step, "gradient")
-            if found.loss < at.loss:
-                # what was too far this time is likely to be so again
-                at, state, share, refused = found, proposed, min(1.0, 2 * share), 0
-                break
-            share /= 2
+        step = share * np.asarray(jax.tree.leaves(update)[0])
+        found, accepted = trail.evaluate(at.u + step, "gradient", at)
+        if accepted:
+            # what was too far this time is likely to be so again
+            at, state, share, refused = found, proposed, min(1.0, 2 * share), 0
         else:
-            share, refused = 1.0, refused + 1
+            share, refused = share / 2, refused + 1
     return None
 
 
-def promised(slope: Slope) -> float:
-    """By how much a damped Gauss-Newton step would lower the loss, were it linear."""
-    damped = slope.curvature + DAMPING * np.eye(len(slope.gradient))
-    return float(slope.gradient @ np.linalg.solve(damped, slope.gradient) / 2)
+def _is_settled(here: Estimate) -> bool:
+    """Whether a Gauss-Newton step promises nothing that the seeds' scatter would show.
+
+    Were all linear, it would lower the loss by gᵀH⁻¹g/2; the scatter of the mean over
+    seeds alone lets a step seem to promise tr(H⁻¹ Jᵀ S/N J)/2.
+    """
+    damped = here.curvature + DAMPING * np.eye(len(here.gradient))
+    promised = here.gradient @ np.linalg.solve(damped, here.gradient) / 2
+    noise = here.jacobian.T @ here.scatter @ here.jacobian
+    open_ = np.trace(np.linalg.solve(damped, noise)) / 2
+    return bool(promised < max(GAIN, SETTLED * open_))
 
 
 def _without_derivatives(trail: _Trail) -> End:
@@ -250,7 +300,7 @@ def _without_derivatives(trail: _Trail) -> End:
     start = trail.best.u
 
     def value(u: Float[np.ndarray, " p"]) -> float:
-        return min(trail.evaluate(u, "derivative-free").loss, _WORST)
+        return min(trail.evaluate(u, "derivative-free")[0].loss, _WORST)
 
     # towards the middle of the bounds, where there is more room
     side = SIMPLEX if math.isfinite(trail.best.loss) else FAR

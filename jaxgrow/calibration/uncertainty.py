@@ -7,7 +7,8 @@ variance :math:`\pi^2/3` of a coordinate of which only the bounds are known:
 .. math:: C = \Big(J^T J + \frac{3}{\pi^2} I\Big)^{-1}.
 
 A mean over N seeds is uncertain as well. With the covariance S of the residuals over
-the seeds, it moves the fit by
+the seeds, as all evaluations together estimate them (`jaxgrow.calibration.loss`), it
+moves the fit by
 
 .. math:: C_\text{seeds} = (C J^T)\, \frac{S}{N}\, (C J^T)^T .
 
@@ -19,10 +20,9 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from jaxgrow.calibration.coordinates import Coordinates, PRIOR_VARIANCE
-from jaxgrow.calibration.loss import Evaluation, Loss, Slope
+from jaxgrow.calibration.loss import Estimate, Evaluation
 from jaxgrow.calibration.search import End, Search
 from jaxgrow.calibration.task import Task
 
@@ -60,7 +60,7 @@ class Achieved(NamedTuple):
     Attributes:
         target: the value asked for.
         uncertainty: the expert's.
-        achieved: mean over the seeds.
+        achieved: mean over the seeds, as all evaluations together estimate it.
         spread: standard deviation of one lesion, over the seeds; NaN for one.
         residual: (achieved - target) / uncertainty.
         reason: why it is not reached within its uncertainty; None if it is.
@@ -80,23 +80,22 @@ class Achieved(NamedTuple):
 
 
 def fitted_parameters(
-    coordinates: Coordinates, at: Evaluation, slope: Slope | None, loss: Loss
+    coordinates: Coordinates, at: Evaluation, estimate: Estimate | None
 ) -> list[Fitted]:
     """The parameters of a fit with their uncertainties.
 
-    Without sensitivities only the bounds are known.
+    If nothing grew only the bounds are known.
     """
     number = len(at.u)
-    jacobian = np.zeros((0, number)) if slope is None else slope.jacobian
-    precision = jacobian.T @ jacobian + np.eye(number) / PRIOR_VARIANCE
-    covariance = np.linalg.inv(precision)
-    variance = np.diag(covariance)
+    precision = np.eye(number) / PRIOR_VARIANCE
     sampling = np.full(number, math.nan)
-    if slope is not None and at.metrics is not None and len(at.metrics) > 1:
-        scaled = at.metrics / loss.uncertainty
-        mean = np.atleast_2d(np.cov(scaled, rowvar=False)) / len(scaled)
-        influence = covariance @ jacobian.T
-        sampling = np.diag(influence @ mean @ influence.T)
+    if estimate is not None:
+        precision = precision + estimate.curvature
+    covariance = np.linalg.inv(precision)
+    if estimate is not None and len(estimate.residuals) > 1:
+        influence = covariance @ estimate.jacobian.T
+        sampling = np.diag(influence @ estimate.scatter @ influence.T)
+    variance = np.diag(covariance)
     deviation = np.sqrt(variance + np.nan_to_num(sampling))
     slopes = np.asarray(coordinates.slopes(jnp.asarray(at.u)))
     low, high = (
@@ -116,14 +115,14 @@ def fitted_parameters(
     ]
 
 
-def achieved_targets(
-    task: Task, found: Search, slope: Slope | None, loss: Loss
-) -> list[Achieved]:
+def achieved_targets(task: Task, found: Search) -> list[Achieved]:
     """The targets with what the fit makes of them; empty if nothing grew."""
-    metrics = found.best.metrics
-    if metrics is None:
+    metrics, estimate = found.best.metrics, found.estimate
+    if metrics is None or estimate is None:
         return []
-    mean, residual = metrics.mean(axis=0), loss.residual(metrics)
+    residual = estimate.residual
+    wanted = task.targets.values()
+    mean = [t.value + t.uncertainty * r for t, r in zip(wanted, residual, strict=True)]
     spread = np.full(len(mean), math.nan)
     if len(metrics) > 1:
         spread = metrics.std(axis=0, ddof=1)
@@ -137,7 +136,7 @@ def achieved_targets(
                 f"{name} is {mean[i]:.3g}, {abs(residual[i]):.1f} uncertainties {side} "
                 f"its target {target.value:g} ± {target.uncertainty:g}; it was "
                 f"{min(seen):.3g} to {max(seen):.3g} in all evaluations: "
-                f"{_why(task, found, slope, residual, i)}"
+                f"{_why(task, found, estimate, i)}"
             )
         rows.append(
             Achieved(
@@ -152,21 +151,16 @@ def achieved_targets(
     return rows
 
 
-def _why(
-    task: Task,
-    found: Search,
-    slope: Slope | None,
-    residual: Float[np.ndarray, " t"],
-    index: int,
-) -> str:
+def _why(task: Task, found: Search, estimate: Estimate, index: int) -> str:
     """What keeps a target from being reached, as far as the sensitivities tell."""
-    if slope is None:
+    if not np.any(estimate.jacobian):
         return f"there is no derivative; {_ended(found)}"
+    residual = estimate.residual
     metrics, names = list(task.targets), list(task.parameters)
     u = found.best.u
     share = 1 / (1 + np.exp(-u))
     # change over the whole way between the bounds, were it linear
-    whole = slope.jacobian / (share * (1 - share))
+    whole = estimate.jacobian / (share * (1 - share))
     towards = -np.sign(residual[index]) * whole[index]
     within = np.abs(towards).sum()
     if within < abs(residual[index]):

@@ -8,7 +8,8 @@ import optax
 import pytest
 
 from jaxgrow.calibration import fit
-from jaxgrow.calibration.search import End
+from jaxgrow.calibration.growths import Measured
+from jaxgrow.calibration.search import End, REFUSALS
 from jaxgrow.calibration.task import Bounds
 from jaxgrow.scene import Scene
 
@@ -26,13 +27,12 @@ def run(formula, **more):
     return fit(SCENE, TARGETS, BOUNDS, grower=formula, **more)
 
 
-def check_best_so_far(found):
-    """A point is accepted if and only if its re-grown loss is less than all before."""
-    least = math.inf
-    for tried in found.history:
-        assert tried.accepted == (tried.loss < least)
-        least = min(least, tried.loss)
-    assert found.loss == least
+def check_history(found):
+    """The fit is a point that grew; what is accepted has grown."""
+    grown = [tried for tried in found.history if math.isfinite(tried.loss)]
+    assert found.scene.parameters.spring_stiffness in [t.values[0] for t in grown]
+    assert all(tried in grown for tried in found.history if tried.accepted)
+    assert [tried.number for tried in found.history] == [*range(len(found.history))]
 
 
 @pytest.mark.parametrize("share", [1.0, 0.5, 0.1, 3.0])
@@ -40,28 +40,28 @@ def check_best_so_far(found):
 def test_a_planted_value_is_found_three_times_off(formula, share, start):
     bounds = {"spring_stiffness": Bounds(low=0.004, high=0.4, start=start)}
     found = fit(SCENE, TARGETS, bounds, grower=formula(share), seeds=range(8))
-    assert found.scene.parameters.spring_stiffness == pytest.approx(TRUE, rel=0.02)
+    assert found.scene.parameters.spring_stiffness == pytest.approx(TRUE, rel=0.03)
     assert found.end is End.CONVERGED
-    assert len(found.history) <= 10
-    check_best_so_far(found)
+    assert len(found.history) <= 12
+    check_history(found)
 
 
 def test_refused_steps_turn_a_gradient_of_the_wrong_sign(formula):
     found = run(formula(-0.5))
-    check_best_so_far(found)
-    refused = [tried for tried in found.history[1:4] if not tried.accepted]
-    assert len(refused) == 3
+    check_history(found)
+    assert not found.history[1].accepted
+    assert found.history[1].loss > found.history[0].loss
     assert found.end is End.CONVERGED
     assert found.outcome.success
 
 
 def test_without_derivatives_the_simplex_finds_it(formula):
     found = run(formula(None))
-    check_best_so_far(found)
+    check_history(found)
     assert {tried.how for tried in found.history[1:]} == {"derivative-free"}
     assert found.end is End.SHRUNK
     assert found.scene.parameters.spring_stiffness == pytest.approx(TRUE, rel=0.05)
-    assert not found.parameters["spring_stiffness"].determined
+    assert found.parameters["spring_stiffness"].determined  # the evaluations tell
 
 
 def test_a_gradient_that_vanishes_far_from_the_targets_is_not_the_end(formula):
@@ -72,17 +72,20 @@ def test_a_gradient_that_vanishes_far_from_the_targets_is_not_the_end(formula):
 
 def test_steps_that_are_refused_again_and_again_end_in_the_simplex(formula):
     class Unsteady(formula):
-        """Its slopes point away from the target, however they are corrected."""
+        """Its slopes lead from the start to where nothing grows."""
 
-        def slopes(self, *_):
-            return ((1e3,), (1e3,))
+        def slopes(self, _, values):
+            return ((-9.0 / values[0],), (-9.0 / values[0],))
 
-    found = run(Unsteady())
+    bounds = {"spring_stiffness": Bounds(low=0.004, high=0.4, start=0.3)}
+    targets = {"height_mm": (1.5, 0.05), "width_mm": (2.2, 0.05)}
+    found = fit(SCENE, targets, bounds, grower=Unsteady(fails_above=0.3))
     hows = [tried.how for tried in found.history]
-    assert "gradient" in hows
+    assert hows[: REFUSALS + 1] == ["start", *["gradient"] * REFUSALS]
     assert "derivative-free" in hows
-    check_best_so_far(found)
-    assert found.outcome.success
+    steps = [abs(t.values[0] - 0.3) for t in found.history[1 : REFUSALS + 1]]
+    assert steps == sorted(steps, reverse=True)
+    check_history(found)
 
 
 def test_a_growth_that_fails_refuses_its_step_and_is_counted(formula):
@@ -132,7 +135,7 @@ def test_evaluations_are_bounded(formula):
 def test_another_optimiser_can_be_used(formula):
     with jax.numpy_dtype_promotion("standard"):  # optax needs it
         found = run(formula(), optimiser=optax.adam(0.3))
-    check_best_so_far(found)
+    check_history(found)
     assert found.scene.parameters.spring_stiffness == pytest.approx(TRUE, rel=0.05)
 
 
@@ -141,3 +144,52 @@ def test_the_same_seeds_are_grown_at_every_point(formula):
     run(grower, seeds=(5, 7))
     seeds = [seed for seed, _ in grower.asked]
     np.testing.assert_array_equal(seeds, [5, 7] * (len(seeds) // 2))
+
+
+class Chaos:
+    """Metrics that scatter between any two growths, whatever their seed.
+
+    One lesion determines the logarithm of the stiffness to 0.25.
+    """
+
+    def measure(self, seed, values):
+        (k,) = values
+        rng = np.random.default_rng([seed, *np.array(values).view(np.uint32)])
+        scatter = 0.25 * math.sqrt(2) * rng.standard_normal(2)
+        x = math.log(k / TRUE)
+        return Measured(seed, values, "REACHED", (scatter[0] - x, scatter[1] - x))
+
+    def slopes(self, _, values):
+        return ((-0.4 / values[0],), (-0.4 / values[0],))
+
+
+def test_what_is_found_in_chaos_is_as_near_as_it_says():
+    targets = {"height_mm": (0.0, 0.04), "width_mm": (0.0, 0.04)}
+    starts = (TRUE / 3, TRUE / 2, 2 * TRUE, 2.9 * TRUE)
+    error, told = [], []
+    for number in range(40):
+        start = starts[number % 4]
+        bounds = {"spring_stiffness": Bounds(low=0.004, high=0.4, start=start)}
+        seeds = range(16 * number, 16 * (number + 1))
+        found = fit(SCENE, targets, bounds, grower=Chaos(), seeds=seeds)
+        assert found.end is End.CONVERGED
+        stiffness = found.parameters["spring_stiffness"]
+        error.append(math.log(stiffness.value / TRUE))
+        told.append(stiffness.from_seeds / stiffness.value)
+    # the lesions of one evaluation alone would leave 0.25 / 4
+    assert np.std(error) < 0.05
+    assert abs(np.mean(error)) < 0.02
+    assert np.mean(np.abs(error) < 0.1) >= 0.9
+    assert np.mean(told) == pytest.approx(np.std(error), rel=0.35)
+
+
+def test_what_is_said_to_be_achieved_is_no_luck():
+    targets, off = {"height_mm": (0.0, 0.04), "width_mm": (0.0, 0.04)}, []
+    for number in range(30):
+        seeds = range(16 * number, 16 * (number + 1))
+        bounds = {"spring_stiffness": Bounds(low=0.004, high=0.4, start=TRUE / 2)}
+        found = fit(SCENE, targets, bounds, grower=Chaos(), seeds=seeds)
+        x = math.log(found.scene.parameters.spring_stiffness / TRUE)
+        off += [(target.achieved + x) for target in found.targets.values()]
+    one_evaluation = 0.25 * math.sqrt(2 / 16)
+    assert np.sqrt(np.mean(np.square(off))) < 0.75 * one_evaluation
