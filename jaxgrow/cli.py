@@ -249,7 +249,7 @@ def fit(
     with _refusals():
         _configure()
         from jaxgrow.calibration import fit as run, load_task
-        from jaxgrow.calibration.table import say_tried, show
+        from jaxgrow.calibration.table import say_grown, say_tried, show
         from jaxgrow.scene import load_scene
 
         loaded, task = load_scene(scene), load_task(targets)
@@ -260,10 +260,12 @@ def fit(
                 task.parameters,
                 folder=out,
                 progress=say_tried,
+                grown=say_grown,
                 **dict(task.fit),
             )
         except KeyboardInterrupt:
-            _say(f"{out} holds what was grown; the same command goes on from there.")
+            if out.exists():
+                _say(f"{out} holds what was grown; the same command goes on there.")
             raise
     show(found)
     if not found.outcome.success:

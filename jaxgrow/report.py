@@ -7,7 +7,7 @@ import enum
 import math
 import os
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 FORMAT = 1
 """Of the report; a new number when an entry changes its meaning or place."""
 
-DECISIVE = (
+GROWING = (
     "jaxgrow",
     "jax",
     "jaxlib",
@@ -33,11 +33,15 @@ DECISIVE = (
     "equinox",
     "numpy",
     "scipy",
-    "trimesh",
-    "pillow",
-    "embreex",
+    "trimesh",  # reads organs
 )
-"""Distributions whose version may change a result or its picture."""
+"""Distributions whose version may change a growth."""
+
+FITTING = (*GROWING, "optax")
+"""Distributions whose version may change a fit: its growths and its steps."""
+
+DECISIVE = (*GROWING, "pillow", "embreex")
+"""Distributions whose version may change a growth or its picture."""
 
 
 def make_report(
@@ -125,10 +129,10 @@ def describe_scene(scene: Scene, organ: Organ | None) -> dict[str, Any]:
     }
 
 
-def versions() -> dict[str, str | None]:
+def versions(names: Sequence[str] = DECISIVE) -> dict[str, str | None]:
     """Of Python and of all distributions that decide a result; None: not installed."""
     found: dict[str, str | None] = {"python": platform.python_version()}
-    for name in DECISIVE:
+    for name in names:
         try:
             found[name] = version(name)
         except PackageNotFoundError:

@@ -16,10 +16,12 @@ _REACH = 4.0  # uncertainties to either side of a target
 def draw_fit(fit: Fit, path: Path) -> None:
     """Write the plot as a PNG; it is whole or absent.
 
-    Left: the loss of every evaluation, filled where it was accepted, hollow where it
-    was refused, crosses where a growth failed; the least so far as a line. Right: the
-    distance from every target in its uncertainties, with the standard deviation of one
-    lesion over the seeds, and a grey band where a target is reached.
+    Left: the loss of every evaluation's own lesions, a filled disc where it was
+    accepted, a hollow one where it was refused, a red one at the top where a growth
+    failed; a line at the least so far. A step is accepted for the loss that all lesions
+    tell of it (`jaxgrow.calibration.loss.Estimate`), so a disc may lie above the line.
+    Right: the distance from every target in its uncertainties, with the standard
+    deviation of one lesion over the seeds, and a grey band where a target is reached.
     """
     from PIL import Image, ImageDraw
 
@@ -52,7 +54,7 @@ def _losses(draw: Any, fit: Fit, box: Box) -> None:
             bottom - top
         )
 
-    _frame(draw, box, "loss by evaluation")
+    _frame(draw, box, "loss of each evaluation's own lesions")
     for power in range(low, high + 1):
         _, y = place(0, 10.0**power)
         draw.line((left, y, right, y), _PALE, _SCALE)
@@ -60,7 +62,7 @@ def _losses(draw: Any, fit: Fit, box: Box) -> None:
     for number in sorted({0, last // 2, len(fit.history) - 1}):
         x, _ = place(number, 1)
         _text(draw, x, bottom + 14 * _SCALE, str(number), "mm")
-    caption = "filled: accepted, hollow: refused, red: a growth failed"
+    caption = "filled: accepted, hollow: refused, red: failed, line: least so far"
     _text(draw, (left + right) / 2, bottom + 40 * _SCALE, caption, "mm")
     best, line = math.inf, list[tuple[float, float]]()
     for tried in fit.history:

@@ -10,17 +10,18 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import optax
+from jaxtyping import Float
 
 from jaxgrow.calibration.coordinates import Coordinates
-from jaxgrow.calibration.folder import FILE, open_folder, write_folder
-from jaxgrow.calibration.growths import Grower, Growths, LesionGrower
+from jaxgrow.calibration.folder import check_folder, FILE, write_folder
+from jaxgrow.calibration.growths import Grower, Growths, LesionGrower, Measured
 from jaxgrow.calibration.loss import Loss
 from jaxgrow.calibration.outcome import Fit, Outcome
-from jaxgrow.calibration.search import search, Tried
+from jaxgrow.calibration.search import FURTHEST, search, Tried
 from jaxgrow.calibration.task import Bounds, FitError, make_task, Target, Task
 from jaxgrow.calibration.uncertainty import achieved_targets, fitted_parameters
 from jaxgrow.organ import Organ
-from jaxgrow.report import named, versions
+from jaxgrow.report import FITTING, named, versions
 from jaxgrow.scene import Scene
 
 
@@ -32,6 +33,7 @@ def fit(
     folder: str | Path | None = None,
     optimiser: optax.GradientTransformation | None = None,
     progress: Callable[[Tried], None] | None = None,
+    grown: Callable[[Measured], None] | None = None,
     grower: Grower | None = None,
     **effort: Any,
 ) -> Fit:
@@ -39,16 +41,16 @@ def fit(
 
     The least of :math:`\frac12 \sum_t ((\bar m_t - m_t)/\sigma_t)^2` is sought, with
     the means of the metrics over several seeds (`jaxgrow.calibration.loss` says why),
-    by steps along gradients that are accepted only if the lesions that are grown anew
-    come closer to the targets, and without derivatives where those fail
+    by steps along gradients that are accepted only if lesions that are grown anew show
+    that they lead closer to the targets, and without derivatives where those fail
     (`jaxgrow.calibration.search`). A growth that ends with anything but REACHED makes
     the loss infinite: the step is refused, and `Fit.failures` has it.
 
     Lesions differ from seed to seed, small ones (ten divisions) by a third in height,
     and a parameter that changes by a per cent changes the packing as another seed does.
     So the fit is that of the mean over its seeds, and what it says of a point is a
-    regression over the lesions of all points near it, not the luck of that one. More
-    seeds, or larger lesions, make it sharper.
+    regression over the lesions of all points near it. More seeds, or larger lesions,
+    make it sharper; fewer than eight seeds understate the uncertainties.
 
     Args:
         scene: what to grow. Its parameters hold where none is fitted.
@@ -63,6 +65,7 @@ def fit(
             `jaxgrow.calibration.search.gauss_newton`. It is not part of what a folder
             is checked for.
         progress: called after every evaluation.
+        grown: called after every growth.
         grower: makes the growths, instead of `jaxgrow.grow`.
         **effort: `jaxgrow.calibration.task.Effort`: seeds, evaluations, smoothing,
             max_divisions.
@@ -75,21 +78,20 @@ def fit(
             used.
         OrganError: the organ or the site cannot be used.
     """
-    entries = {"targets": dict(targets), "parameters": dict(parameters), "fit": effort}
+    entries = {"targets": targets, "parameters": parameters, "fit": effort}
     task = make_task(entries, source="the fit")
-    _check_start(scene, task)
+    coordinates = Coordinates.between(task.parameters.values())
+    start = _start(scene, task, coordinates)
     file = None
     if folder is not None:
-        open_folder(Path(folder), scene)
+        check_folder(Path(folder), scene)
         file = Path(folder) / FILE
     grower = LesionGrower(scene, task) if grower is None else grower
-    growths = Growths(grower, describe_request(scene, task), file)
-    coordinates = Coordinates.between(task.parameters.values())
-    start = [_start(scene, name, bounds) for name, bounds in task.parameters.items()]
+    growths = Growths(grower, describe_request(scene, task), file, grown)
     loss = Loss(task, coordinates, growths)
     found = search(
         loss,
-        np.asarray(coordinates.coordinates(jnp.asarray(start))),
+        start,
         evaluations=task.fit.evaluations,
         optimiser=optimiser,
         progress=progress,
@@ -117,19 +119,33 @@ def fit(
     return result
 
 
-def _start(scene: Scene, name: str, bounds: Bounds) -> float:
-    return (
-        float(getattr(scene.parameters, name)) if bounds.start is None else bounds.start
-    )
+def _start(
+    scene: Scene, task: Task, coordinates: Coordinates
+) -> Float[np.ndarray, " p"]:
+    """The coordinates of where the search begins.
 
-
-def _check_start(scene: Scene, task: Task) -> None:
+    Raises:
+        FitError: that is not between the bounds, or a target needs a surface.
+    """
+    values = list[float]()
     for name, bounds in task.parameters.items():
-        start = _start(scene, name, bounds)
-        if not bounds.low < start < bounds.high:
+        own = bounds.start is None
+        value = float(getattr(scene.parameters, name)) if own else bounds.start
+        assert value is not None
+        values.append(value)
+        if not bounds.low < value < bounds.high:
             raise FitError(
-                f"the scene's {name} is {start:g}, which is not between {bounds.low:g} "
+                f"the scene's {name} is {value:g}, which is not between {bounds.low:g} "
                 f"and {bounds.high:g}; give it a start, or other bounds."
+            )
+    start = np.asarray(coordinates.coordinates(jnp.asarray(values, float)))
+    for (name, bounds), u in zip(task.parameters.items(), start, strict=True):
+        if abs(u) > FURTHEST:
+            side = "lower" if u < 0 else "upper"
+            hint = "" if bounds.low > 0 else " (a positive lower one, maybe)"
+            raise FitError(
+                f"{name} starts too close to its {side} bound for a search; give it "
+                f"another start, or other bounds{hint}."
             )
     surface = {name for name in task.targets if name != "tumour_diameter_mm"}
     if scene.organ is None and surface:
@@ -137,6 +153,7 @@ def _check_start(scene: Scene, task: Task) -> None:
             f"{min(surface)} needs a surface, but the scene has no organ; give one, or "
             "fit tumour_diameter_mm."
         )
+    return start
 
 
 def describe_request(scene: Scene, task: Task) -> dict[str, Any]:
@@ -152,7 +169,7 @@ def describe_request(scene: Scene, task: Task) -> dict[str, Any]:
             "surroundings": scene.surroundings.model_dump(mode="json"),
         },
         "task": task.model_dump(mode="json"),
-        "versions": versions(),
+        "versions": versions(FITTING),
     }
 
 

@@ -11,6 +11,7 @@ A folder with an outcome in its ``fit.json`` is complete: it is written last.
 
 import json
 import os
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -30,8 +31,10 @@ SCENE = "fitted.toml"
 PICTURE = "fit.png"
 
 
-def open_folder(folder: Path, scene: Scene) -> None:
-    """Make the folder, or refuse one that holds anything but a fit.
+def check_folder(folder: Path, scene: Scene) -> None:
+    """Refuse a folder that no fit could be written to; it is made with its first file.
+
+    It may be new, empty, or hold a fit, which then goes on.
 
     Raises:
         FitError: it is a file, holds something else, or cannot be written to; or the
@@ -42,14 +45,18 @@ def open_folder(folder: Path, scene: Scene) -> None:
             f"the organ {scene.organ.name!r} is in memory, and the scene that is "
             "written must name a file; save it, give its path, or leave out the folder."
         )
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        names = sorted(entry.name for entry in folder.iterdir())
-    except FileExistsError as error:
+    if folder.exists() and not folder.is_dir():
         raise FitError(
             f"{folder} is a file, but a fit is written to a folder; give the name of "
             "a new one."
-        ) from error
+        )
+    existing = folder.resolve()
+    try:
+        while not existing.exists():
+            existing = existing.parent
+        with tempfile.TemporaryDirectory(prefix=".jaxgrow-", dir=existing):
+            pass
+        names = sorted(e.name for e in folder.iterdir()) if folder.exists() else []
     except OSError as error:
         raise FitError(
             f"nothing can be written to {folder}: {error.strerror}; choose another "
@@ -61,8 +68,6 @@ def open_folder(folder: Path, scene: Scene) -> None:
             f"{folder} holds something else than a fit (there is {foreign[0]}); give "
             "a new folder."
         )
-    if not os.access(folder, os.W_OK):
-        raise FitError(f"nothing can be written to {folder}; choose another folder.")
 
 
 def write_folder(fit: Fit, growths: Growths, folder: Path) -> None:

@@ -1,7 +1,7 @@
 """The growths of a fit: made once, kept, and read back when the fit goes on."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -103,12 +103,16 @@ class LesionGrower:
         if (seed, values) not in self._events:  # the fit was interrupted in between
             self.measure(seed, values)
         events = self._events[seed, values]
+        results = list[Result]()
 
         def metrics(fitted: Float[Array, " p"]) -> Float[Array, " t"]:
             growth = self._grow(seed, self._parameters(fitted), events)
+            results.append(growth.result)
             return self._metrics(growth)
 
         _, along = jax.linearize(metrics, jnp.asarray(values))
+        if set(results) != {Result.REACHED}:  # it ended before, with finite derivatives
+            return ()
         columns = np.stack([np.asarray(along(e)) for e in jnp.eye(len(values))])
         if not np.isfinite(columns).all():
             return ()
@@ -146,16 +150,22 @@ class Growths:
     Args:
         grower: makes those that are not known.
         request: what the fit was asked for; a file with another request is refused.
-        file: keeps them; None to keep them in memory.
+        file: keeps them; its folder is made with it. None to keep them in memory.
+        grown: called after every growth that is made.
 
     Raises:
         FitError: the file holds another fit, or is damaged.
     """
 
     def __init__(
-        self, grower: Grower, request: dict[str, Any], file: Path | None = None
+        self,
+        grower: Grower,
+        request: dict[str, Any],
+        file: Path | None = None,
+        grown: Callable[[Measured], None] | None = None,
     ) -> None:
         self._grower, self._request, self._file = grower, request, file
+        self._grown = grown
         self._known: dict[tuple[int, Values], Measured] = {}
         self.made = 0
         if file is not None and file.exists():
@@ -171,8 +181,11 @@ class Growths:
     def measure(self, seed: int, values: Values) -> Measured:
         """The metrics of a growth."""
         if (seed, values) not in self._known:
-            self._keep(self._grower.measure(seed, values))
+            measured = self._grower.measure(seed, values)
+            self._keep(measured)
             self.made += 1
+            if self._grown is not None:
+                self._grown(measured)
         return self._known[seed, values]
 
     def slopes(self, seed: int, values: Values) -> tuple[tuple[float, ...], ...]:
@@ -195,6 +208,7 @@ class Growths:
             "outcome": outcome,
         }
         text = json.dumps(content, indent=1, allow_nan=False) + "\n"
+        self._file.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(self._file, lambda file: file.write(text.encode()))
 
     def _keep(self, known: Measured) -> None:
@@ -202,7 +216,7 @@ class Growths:
         self.write()
 
 
-def read_fit(file: Path, request: dict[str, Any] | None = None) -> dict[str, Any]:
+def read_fit(file: Path, request: dict[str, Any]) -> dict[str, Any]:
     """The content of a fit's file.
 
     Args:
@@ -211,29 +225,63 @@ def read_fit(file: Path, request: dict[str, Any] | None = None) -> dict[str, Any
             evaluations: with more of them it goes on.
 
     Raises:
-        FitError: it is damaged, or of another request.
+        FitError: it is damaged, or of another request, format or version.
     """
-    try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-        found = content["request"]
-        for entry in content["growths"]:
-            _measured(entry)
-    except (ValueError, KeyError, TypeError) as error:
-        raise FitError(
-            f"{file} is damaged or no fit of this version; remove it, or give a new "
-            "folder."
-        ) from error
-    except OSError as error:
-        raise FitError(f"{file} cannot be read: {error.strerror}.") from error
+    content = _read(file)
     # as JSON gives it back: lists for tuples
-    wanted = found if request is None else json.loads(json.dumps(request))
-    other = _first_difference(found, wanted)
+    found, wanted = content["request"], json.loads(json.dumps(request))
+    asked, asking = ({**each, "versions": None} for each in (found, wanted))
+    other = _first_difference(asked, asking)
     if other is not None:
         raise FitError(
             f"{file.parent} holds a fit with another {other}; give a new folder, or "
             "what that fit was asked for, to go on with it."
         )
+    _check_versions(file.parent, found.get("versions", {}), wanted.get("versions", {}))
     return content
+
+
+def _read(file: Path) -> dict[str, Any]:
+    """The content of a file that has the format of this version."""
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        form = content["format"]
+        if form == FORMAT:
+            content["request"] = dict(content["request"])
+            for entry in content["growths"]:
+                _measured(entry)
+    except (ValueError, KeyError, TypeError) as error:
+        raise FitError(
+            f"{file} is damaged or no fit; remove it, or give a new folder."
+        ) from error
+    except OSError as error:
+        raise FitError(f"{file} cannot be read: {error.strerror}.") from error
+    if form != FORMAT:
+        raise FitError(
+            f"{file} has format {form}, and this version of jaxgrow reads {FORMAT}; "
+            "go on with the version that wrote it, or give a new folder."
+        )
+    return content
+
+
+def _check_versions(
+    folder: Path, found: dict[str, Any], wanted: dict[str, Any]
+) -> None:
+    """Refuse growths of other versions; one that the file does not name says nothing.
+
+    Raises:
+        FitError: names all that differ.
+    """
+    other = [n for n in wanted if n in found and found[n] != wanted[n]]
+    if other:
+        then, now = (
+            " and ".join(f"{name} {of[name] or '(unknown)'}" for name in other)
+            for of in (found, wanted)
+        )
+        raise FitError(
+            f"{folder} holds growths made with {then}, and here is {now}, which may "
+            f"make others; install {then} to go on with it, or give a new folder."
+        )
 
 
 def _measured(entry: dict[str, Any]) -> Measured:

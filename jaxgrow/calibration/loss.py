@@ -37,7 +37,7 @@ from jaxgrow.calibration.growths import Growths, Values
 from jaxgrow.calibration.task import Task
 
 
-TRUST = 0.03
+RIDGE = 0.03
 """μ, the weight of the frozen derivatives, in squared unconstrained coordinates."""
 
 SLOPES = 4
@@ -67,19 +67,24 @@ class Estimate(NamedTuple):
 
     Attributes:
         residuals: (metric - target) / uncertainty, for every seed.
-        jacobian: sensitivities of their mean, in the unconstrained coordinates.
+        jacobians: their sensitivities, in the unconstrained coordinates.
         informed: whether evaluations tell more of the sensitivities than the frozen
             ones do, in every direction.
     """
 
     residuals: Float[np.ndarray, "s t"]
-    jacobian: Float[np.ndarray, "t p"]
+    jacobians: Float[np.ndarray, "s t p"]
     informed: bool
 
     @property
     def residual(self) -> Float[np.ndarray, " t"]:
         """Of the mean over the seeds."""
         return self.residuals.mean(axis=0)
+
+    @property
+    def jacobian(self) -> Float[np.ndarray, "t p"]:
+        """Of the mean over the seeds."""
+        return self.jacobians.mean(axis=0)
 
     @property
     def loss(self) -> float:
@@ -97,17 +102,34 @@ class Estimate(NamedTuple):
         return self.jacobian.T @ self.jacobian
 
     @property
-    def scatter(self) -> Float[np.ndarray, "t t"]:
-        """Covariance of the mean residual, S/N; 0 for one seed, which tells nothing."""
-        seeds, targets = self.residuals.shape
-        if seeds == 1:
-            return np.zeros((targets, targets))
-        return np.cov(self.residuals, rowvar=False).reshape(targets, targets) / seeds
+    def information(self) -> Float[np.ndarray, "p p"]:
+        """JᵀJ less what the error of J is expected to add to it; not negative."""
+        expected = sum(_error(rows) for rows in self.jacobians.transpose(1, 0, 2))
+        values, vectors = np.linalg.eigh(self.curvature - expected)
+        return (vectors * np.maximum(values, 0)) @ vectors.T
+
+    @property
+    def residual_error(self) -> Float[np.ndarray, "t t"]:
+        """Covariance of the mean residual; 0 for one seed, which tells nothing."""
+        return _error(self.residuals)
+
+    @property
+    def gradient_error(self) -> Float[np.ndarray, "p p"]:
+        """Covariance of the gradient that comes from the sensitivities' error."""
+        return _error(np.einsum("stp,t->sp", self.jacobians, self.residual))
 
     @property
     def reached(self) -> bool:
         """Whether every target is within its uncertainty."""
         return bool(np.all(np.abs(self.residual) <= 1))
+
+
+def _error(rows: Float[np.ndarray, "s k"]) -> Float[np.ndarray, "k k"]:
+    """Covariance of the mean of rows, from their spread; 0 for one row."""
+    seeds, number = rows.shape
+    if seeds == 1:
+        return np.zeros((number, number))
+    return np.cov(rows, rowvar=False).reshape(number, number) / seeds
 
 
 class Loss:
@@ -117,12 +139,15 @@ class Loss:
         task: what is asked for.
         coordinates: of its parameters.
         growths: that it is made of.
+
+    Attributes:
+        grown: all evaluations whose lesions grew to their end.
     """
 
     def __init__(self, task: Task, coordinates: Coordinates, growths: Growths) -> None:
         self.coordinates = coordinates
         self._growths, self._seeds = growths, task.fit.seeds
-        self._seen: list[Evaluation] = []
+        self.grown: list[Evaluation] = []
         self.target = np.array([t.value for t in task.targets.values()], float)
         self.uncertainty = np.array(
             [t.uncertainty for t in task.targets.values()], float
@@ -141,7 +166,7 @@ class Loss:
         rows = np.array(metrics, float)
         loss = float(np.sum(self._residuals(rows).mean(axis=0) ** 2) / 2)
         found = Evaluation(u, values, loss, rows, None)
-        self._seen.append(found)
+        self.grown.append(found)
         return found
 
     def frozen(self, at: Evaluation) -> Float[np.ndarray, "t p"] | None:
@@ -161,10 +186,10 @@ class Loss:
     ) -> Estimate:
         """What all evaluations say of a point; at least one must have grown."""
         number = len(u)
-        square = np.diag([0.0, *[TRUST] * number])
-        prior = np.vstack([np.zeros(len(frozen)), TRUST * frozen.T])
+        square = np.diag([0.0, *[RIDGE] * number])
+        prior = np.vstack([np.zeros(len(frozen)), RIDGE * frozen.T])
         mixed = np.repeat(prior[None], len(self._seeds), axis=0)
-        for other in self._seen:
+        for other in self.grown:
             assert other.metrics is not None
             away = other.u - u
             line = np.array([1.0, *away])
@@ -174,9 +199,9 @@ class Loss:
         found = np.linalg.solve(square, mixed)
         # what is left of the slopes' information when the intercept is free
         told = square[1:, 1:] - np.outer(square[0, 1:], square[0, 1:]) / square[0, 0]
-        told = told - TRUST * np.eye(number)
-        informed = float(np.linalg.eigvalsh(told)[0]) > TRUST
-        return Estimate(found[:, 0], found[:, 1:].mean(axis=0).T, informed)
+        told = told - RIDGE * np.eye(number)
+        informed = float(np.linalg.eigvalsh(told)[0]) > RIDGE
+        return Estimate(found[:, 0], found[:, 1:].transpose(0, 2, 1), informed)
 
     def _residuals(self, metrics: Float[np.ndarray, "s t"]) -> Float[np.ndarray, "s t"]:
         return (metrics - self.target) / self.uncertainty

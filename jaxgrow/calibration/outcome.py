@@ -13,7 +13,11 @@ from jaxgrow.scene import Scene
 
 
 class Outcome(enum.Enum):
-    """What came of a fit; the value is the sentence that a user reads."""
+    """What came of a fit; the value is the sentence that a user reads.
+
+    Targets are reached by the mean that is estimated from all lesions; the few that
+    are grown with the fitted parameters scatter around it.
+    """
 
     REACHED = "All targets are reached within their uncertainty."
     UNREACHED = "Not all targets are reached within their uncertainty."
@@ -41,7 +45,7 @@ class Fit:
         targets: what was asked for, what was achieved, and why not; empty if nothing
             grew.
         history: every evaluation, in its order.
-        growths: all that were needed.
+        growths: all that are known, of an earlier fit in the folder too.
     """
 
     scene: Scene

@@ -8,14 +8,16 @@ r"""The search: an optimiser's steps along gradients, then a derivative-free met
    `jaxgrow.grow`), so it may well propose what is no improvement; what a refused point
    shows corrects it.
 3. If `REFUSALS` steps in turn are refused, or the derivative does not exist, or it
-   vanishes where a target is not reached and the evaluations do not tell why, Nelder
-   and Mead's simplex (SciPy) goes on from the best point.
+   seems to vanish where a target is not reached, but is not known well enough for that,
+   Nelder and Mead's simplex (SciPy) goes on from the best point. From a start that does
+   not grow it leads to a point that does, and steps along gradients begin there.
 
 It ends when a step promises less than `GAIN`, or less than a quarter of what the
 scatter over the seeds leaves open; when the simplex has shrunk; or when the evaluations
 are used up. The fit is the point where the estimated loss is least.
 """
 
+import contextlib
 import enum
 import math
 from collections.abc import Callable
@@ -42,16 +44,20 @@ SETTLED = 1 / 16
 """The same, as a share of what the scatter over the seeds lets a step seem to promise:
 a step is then half as long as it is uncertain."""
 
-LARGEST = 1.0
-"""Length of a step, in unconstrained coordinates."""
+KNOWN = 0.1
+"""Share of the loss that the gradient's own error may let a step seem to promise, for a
+target to count as one that no step reaches: sensitivities of three deviations."""
+
+LONGEST = 1.0
+"""Longest step, in unconstrained coordinates."""
 
 DAMPING = 0.05
-"""Added to the Gauss-Newton curvature: a twentieth of a target's whole uncertainty."""
+"""Levenberg and Marquardt's λ, added to the Gauss-Newton curvature."""
 
-SIMPLEX = 0.4
+SIDE = 0.4
 """Sides of the first simplex, in unconstrained coordinates."""
 
-FAR = 2.0
+SIDE_FROM_FAILURE = 2.0
 """The same, from a start that does not grow."""
 
 SHRUNK = 0.02
@@ -116,14 +122,18 @@ class _Exhausted(Exception):  # noqa: N818  (it ends a search, it is no error)
     pass
 
 
+class _Grown(Exception):  # noqa: N818  (it ends a simplex, it is no error)
+    pass
+
+
 def gauss_newton(
-    damping: float = DAMPING, largest: float = LARGEST
+    damping: float = DAMPING, longest: float = LONGEST
 ) -> optax.GradientTransformationExtraArgs:
     r"""The default optimiser: :math:`-(J^T J + \lambda)^{-1} g`, of bounded length.
 
     Args:
         damping: :math:`\lambda`.
-        largest: length of a step.
+        longest: length of a step.
     """
 
     def init(params: Any) -> optax.EmptyState:  # noqa: ARG001  (optax's names)
@@ -140,7 +150,7 @@ def gauss_newton(
 
     preconditioned = optax.GradientTransformationExtraArgs(init, update)
     return optax.chain(
-        preconditioned, optax.clip_by_global_norm(largest), optax.scale(-1.0)
+        preconditioned, optax.clip_by_global_norm(longest), optax.scale(-1.0)
     )
 
 
@@ -149,7 +159,6 @@ class _Trail:
 
     Attributes:
         history: all of them.
-        points: those that grew to their end.
         best: the one with the least loss of its own, or the start.
         frozen: the sensitivities that were asked for last; 0 before.
     """
@@ -160,7 +169,6 @@ class _Trail:
         self.loss, self._allowed, self._progress = loss, evaluations, progress
         self._known: dict[bytes, Evaluation] = {}
         self.history: list[Tried] = []
-        self.points: list[Evaluation] = []
         self.best: Evaluation | None = None
         self.frozen = np.zeros((len(loss.target), len(loss.coordinates.low)))
 
@@ -193,14 +201,19 @@ class _Trail:
             accepted = least
         else:
             accepted = self.estimate(found).loss < self.estimate(at).loss
-        if found.metrics is not None:
-            self.points.append(found)
         self._tell(found, how, accepted=accepted)
         return found, accepted
 
     def estimate(self, at: Evaluation) -> Estimate:
         """What all evaluations say of a point that grew."""
         return self.loss.estimate(at.u, self.frozen)
+
+    def learn_slopes(self, at: Evaluation) -> bool:
+        """Take the sensitivities of the growths of a point; whether it has any."""
+        frozen = self.loss.frozen(at)
+        if frozen is not None:
+            self.frozen = frozen
+        return frozen is not None
 
     def _tell(self, found: Evaluation, how: str, *, accepted: bool) -> None:
         metrics = None
@@ -236,14 +249,20 @@ def search(
     trail = _Trail(loss, evaluations, progress)
     at, _ = trail.evaluate(start, "start")
     try:
-        end = _along_gradients(trail, at, optimiser or gauss_newton())
+        if at.metrics is None:
+            at = _grown(trail, at)
+        end: End | None = End.SHRUNK
+        if at.metrics is not None:
+            end = _along_gradients(trail, at, optimiser or gauss_newton())
         if end is None:
             end = _without_derivatives(trail)
     except _Exhausted:
         end = End.EXHAUSTED
-    if not trail.points:
+    if not loss.grown:
         return Search(at, None, end, tuple(trail.history))
-    best = min(trail.points, key=lambda point: trail.estimate(point).loss)
+    best = min(loss.grown, key=lambda point: trail.estimate(point).loss)
+    if not trail.estimate(best).informed:
+        trail.learn_slopes(best)
     return Search(best, trail.estimate(best), end, tuple(trail.history))
 
 
@@ -251,20 +270,16 @@ def _along_gradients(
     trail: _Trail, at: Evaluation, optimiser: optax.GradientTransformation
 ) -> End | None:
     """The end if there is nothing left to gain; None if the gradients fail."""
-    if at.metrics is None:
-        return None
     extended = optax.with_extra_args_support(optimiser)
     state, share, refused = extended.init(jnp.asarray(at.u)), 1.0, 0
     while refused < REFUSALS:
         here = trail.estimate(at)
         if not here.informed:
-            frozen = trail.loss.frozen(at)
-            if frozen is None:
+            if not trail.learn_slopes(at):
                 return None
-            trail.frozen = frozen
             here = trail.estimate(at)
         if _is_settled(here):
-            return End.CONVERGED if here.reached or here.informed else None
+            return End.CONVERGED if here.reached or _is_known(here) else None
         update, proposed = extended.update(
             jnp.asarray(here.gradient),
             state,
@@ -284,26 +299,59 @@ def _along_gradients(
 def _is_settled(here: Estimate) -> bool:
     """Whether a Gauss-Newton step promises nothing that the seeds' scatter would show.
 
-    Were all linear, it would lower the loss by gᵀH⁻¹g/2; the scatter of the mean over
-    seeds alone lets a step seem to promise tr(H⁻¹ Jᵀ S/N J)/2.
+    Were all linear, it would lower the loss by gᵀH⁻¹g/2; the error of the residuals
+    alone, S, lets a step seem to promise tr(H⁻¹ Jᵀ S J)/2.
     """
-    damped = here.curvature + DAMPING * np.eye(len(here.gradient))
-    promised = here.gradient @ np.linalg.solve(damped, here.gradient) / 2
-    noise = here.jacobian.T @ here.scatter @ here.jacobian
-    open_ = np.trace(np.linalg.solve(damped, noise)) / 2
-    return bool(promised < max(GAIN, SETTLED * open_))
+    promised = _promised(here, np.outer(here.gradient, here.gradient))
+    scatter = here.jacobian.T @ here.residual_error @ here.jacobian
+    return promised < max(GAIN, SETTLED * _promised(here, scatter))
+
+
+def _is_known(here: Estimate) -> bool:
+    """Whether the gradient is known well enough to say that no step leads on."""
+    one_seed = len(here.residuals) == 1
+    error = _promised(here, here.gradient_error)
+    return here.informed and not one_seed and error < KNOWN * here.loss
+
+
+def _promised(here: Estimate, square: Float[np.ndarray, "p p"]) -> float:
+    """tr(H⁻¹ G)/2, by how much steps lower the loss along gradients with ⟨g gᵀ⟩ = G."""
+    damped = here.curvature + DAMPING * np.eye(len(square))
+    return float(np.trace(np.linalg.solve(damped, square)) / 2)
+
+
+def _grown(trail: _Trail, at: Evaluation) -> Evaluation:
+    """A point that grows, sought around one that does not; else that one."""
+
+    def value(u: Float[np.ndarray, " p"]) -> float:
+        if trail.evaluate(u, "derivative-free")[0].metrics is not None:
+            raise _Grown
+        return _WORST
+
+    with contextlib.suppress(_Grown):
+        _simplex(value, at.u, SIDE_FROM_FAILURE)
+    assert trail.best is not None
+    return trail.best
 
 
 def _without_derivatives(trail: _Trail) -> End:
     """Nelder and Mead's simplex around the best point."""
     assert trail.best is not None
-    start = trail.best.u
 
     def value(u: Float[np.ndarray, " p"]) -> float:
         return min(trail.evaluate(u, "derivative-free")[0].loss, _WORST)
 
+    _simplex(value, trail.best.u, SIDE)
+    return End.SHRUNK
+
+
+def _simplex(
+    value: Callable[[Float[np.ndarray, " p"]], float],
+    start: Float[np.ndarray, " p"],
+    side: float,
+) -> None:
+    """Nelder and Mead's method, until the simplex has shrunk."""
     # towards the middle of the bounds, where there is more room
-    side = SIMPLEX if math.isfinite(trail.best.loss) else FAR
     sides = np.diag(np.where(start > 0, -side, side))
     minimize(
         value,
@@ -317,4 +365,3 @@ def _without_derivatives(trail: _Trail) -> End:
             "maxiter": 10**6,
         },
     )
-    return End.SHRUNK

@@ -13,16 +13,18 @@ As a TOML file:
     contact_adhesion = [0.05, 1.0]  # starts at the scene's value
 
     [fit]
-    seeds = [0, 1, 2, 3]
+    seeds = [0, 1, 2, 3, 4, 5, 6, 7]
     evaluations = 30
 """
 
 import dataclasses
 import warnings
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any, ClassVar, TypeAlias
 
 import pydantic
+from pydantic_core import PydanticCustomError
 
 from jaxgrow.entries import check_names, Positive, read_toml, validated
 from jaxgrow.metrics import ShapeMetrics
@@ -35,6 +37,8 @@ Seed: TypeAlias = Annotated[int, pydantic.Field(ge=0)]
 METRICS = tuple(field.name for field in dataclasses.fields(ShapeMetrics))
 PARAMETERS = tuple(field.name for field in dataclasses.fields(Parameters))
 
+_SEEDS = "whole numbers, for example [0, 1, 2]"
+
 
 class FitError(ValueError):
     """A fit that cannot be made; its message is the sentence for the user."""
@@ -45,16 +49,27 @@ class _Model(pydantic.BaseModel):
 
     @pydantic.model_validator(mode="before")
     @classmethod
-    def _from_a_pair(cls, given: Any) -> Any:
-        if isinstance(given, list | tuple):
-            names = list(cls.model_fields)[:2]
-            if len(given) != 2:
-                raise ValueError(f"give two numbers, {names[0]} and {names[1]}")
-            return dict(zip(names, given, strict=True))
-        return given
+    def _prepared(cls, given: Any) -> Any:
+        return _in_python(given)
 
 
-class Target(_Model):
+class _Pair(_Model):
+    """A table that may be given as its first two entries."""
+
+    wanted: ClassVar[str]
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _prepared(cls, given: Any) -> Any:
+        given = _in_python(given)
+        if isinstance(given, cls | dict):
+            return given
+        if not isinstance(given, list | tuple) or len(given) != 2:
+            raise _unlike(cls.wanted)
+        return dict(zip(cls.model_fields, given, strict=False))
+
+
+class Target(_Pair):
     """What an expert says of a metric: value ± one standard deviation.
 
     Attributes:
@@ -62,11 +77,13 @@ class Target(_Model):
         uncertainty: the expert's, in the same unit.
     """
 
+    wanted: ClassVar[str] = "value and uncertainty, for example [9.0, 0.5]"
+
     value: Finite
     uncertainty: Positive
 
 
-class Bounds(_Model):
+class Bounds(_Pair):
     """Between which values a parameter is sought.
 
     Attributes:
@@ -74,6 +91,8 @@ class Bounds(_Model):
         high: upper bound.
         start: where the search begins, between them; the scene's value if None.
     """
+
+    wanted: ClassVar[str] = "low and high, for example [0.01, 0.4]"
 
     low: Finite
     high: Finite
@@ -98,17 +117,26 @@ class Effort(_Model):
 
     Attributes:
         seeds: of the growths whose metrics are averaged, the same in every evaluation.
+            With four, the uncertainties of the parameters come out too small.
         evaluations: parameter values to try, at most; each is a growth for every seed.
         smoothing: of the metrics, in r0 (see `jaxgrow.shape_metrics`).
         max_divisions: of a growth; one that needs more has failed.
     """
 
-    seeds: Annotated[
-        tuple[Seed, ...], pydantic.Field(strict=False, min_length=1)
-    ] = (0, 1, 2, 3)  # fmt: skip
+    seeds: tuple[Seed, ...] = tuple(range(8))
     evaluations: Annotated[int, pydantic.Field(ge=1)] = 30
     smoothing: Annotated[float, pydantic.Field(ge=0, allow_inf_nan=False)] = 0.1
     max_divisions: Annotated[int, pydantic.Field(ge=1)] = 1000
+
+    @pydantic.field_validator("seeds", mode="before")
+    @classmethod
+    def _several(cls, given: Any) -> Any:
+        if isinstance(given, str | Mapping) or not isinstance(given, Iterable):
+            raise _unlike(_SEEDS)
+        seeds = tuple(_in_python(seed) for seed in given)
+        if not seeds:
+            raise _unlike(_SEEDS)
+        return seeds
 
     @pydantic.field_validator("seeds")
     @classmethod
@@ -129,17 +157,17 @@ class Task(_Model):
 
     targets: Annotated[dict[str, Target], pydantic.Field(min_length=1)]
     parameters: Annotated[dict[str, Bounds], pydantic.Field(min_length=1)]
-    fit: Effort = Effort()
+    fit: Effort = pydantic.Field(default_factory=Effort)
 
     @pydantic.field_validator("targets", mode="before")
     @classmethod
     def _known_metrics(cls, given: Any) -> Any:
-        return _all_known(given, METRICS)
+        return _all_known(given, METRICS, '{"height_mm": [9.0, 0.5]}')
 
     @pydantic.field_validator("parameters", mode="before")
     @classmethod
     def _known_parameters(cls, given: Any) -> Any:
-        return _all_known(given, PARAMETERS)
+        return _all_known(given, PARAMETERS, '{"spring_stiffness": [0.01, 0.4]}')
 
     @pydantic.field_validator("parameters")
     @classmethod
@@ -176,7 +204,26 @@ def make_task(entries: dict[str, Any], *, source: str) -> Task:
     return validated(Task, entries, source=source, error=FitError)
 
 
-def _all_known(given: Any, known: tuple[str, ...]) -> Any:
-    if isinstance(given, dict):
-        check_names(given, known)
+def _all_known(given: Any, known: tuple[str, ...], example: str) -> Any:
+    if not isinstance(given, dict):
+        raise _unlike(f"names with two numbers each, for example {example}")
+    check_names(map(str, given), known)
+    return given
+
+
+def _unlike(wanted: str) -> PydanticCustomError:
+    """That an entry has not the form that is wanted."""
+    return PydanticCustomError("form", "give {wanted}", {"wanted": wanted})
+
+
+def _in_python(given: Any) -> Any:
+    """Numbers and arrays of NumPy and JAX as Python has them."""
+    if hasattr(given, "tolist"):
+        return given.tolist()
+    if isinstance(given, tuple):
+        return tuple(_in_python(entry) for entry in given)
+    if isinstance(given, list):
+        return [_in_python(entry) for entry in given]
+    if isinstance(given, Mapping):
+        return {name: _in_python(entry) for name, entry in given.items()}
     return given

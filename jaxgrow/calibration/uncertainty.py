@@ -4,7 +4,10 @@ In the unconstrained coordinates, with the Jacobian J of the residuals in units 
 uncertainty, the posterior is taken to be normal around the fit (Laplace), with the
 variance :math:`\pi^2/3` of a coordinate of which only the bounds are known:
 
-.. math:: C = \Big(J^T J + \frac{3}{\pi^2} I\Big)^{-1}.
+.. math:: C = \Big(J^T J + \frac{3}{\pi^2} I\Big)^{-1},
+
+with :math:`J^T J` less what the error of J over the seeds is expected to add to it, so
+that a parameter without effect is not taken for a determined one.
 
 A mean over N seeds is uncertain as well. With the covariance S of the residuals over
 the seeds, as all evaluations together estimate them (`jaxgrow.calibration.loss`), it
@@ -39,7 +42,7 @@ class Fitted(NamedTuple):
 
     Attributes:
         value: of the least loss.
-        low: one standard deviation less, all uncertainties together.
+        low: one standard deviation less, all uncertainties together; NaN for one seed.
         high: one standard deviation more; never beyond the bounds.
         from_targets: standard deviation that comes from the targets' uncertainties.
         from_seeds: standard deviation that comes from the number of seeds; NaN for one.
@@ -60,7 +63,9 @@ class Achieved(NamedTuple):
     Attributes:
         target: the value asked for.
         uncertainty: the expert's.
-        achieved: mean over the seeds, as all evaluations together estimate it.
+        achieved: mean of lesions with the fitted parameters, as the lesions of all
+            evaluations estimate it.
+        grown: mean of those that were grown with them.
         spread: standard deviation of one lesion, over the seeds; NaN for one.
         residual: (achieved - target) / uncertainty.
         reason: why it is not reached within its uncertainty; None if it is.
@@ -69,6 +74,7 @@ class Achieved(NamedTuple):
     target: float
     uncertainty: float
     achieved: float
+    grown: float
     spread: float
     residual: float
     reason: str | None
@@ -88,15 +94,16 @@ def fitted_parameters(
     """
     number = len(at.u)
     precision = np.eye(number) / PRIOR_VARIANCE
-    sampling = np.full(number, math.nan)
     if estimate is not None:
-        precision = precision + estimate.curvature
+        precision = precision + estimate.information
     covariance = np.linalg.inv(precision)
-    if estimate is not None and len(estimate.residuals) > 1:
+    variance, sampling = np.diag(covariance), np.zeros(number)
+    if estimate is not None:
         influence = covariance @ estimate.jacobian.T
-        sampling = np.diag(influence @ estimate.scatter @ influence.T)
-    variance = np.diag(covariance)
-    deviation = np.sqrt(variance + np.nan_to_num(sampling))
+        sampling = np.diag(influence @ estimate.residual_error @ influence.T)
+        if len(estimate.residuals) == 1:
+            sampling = np.full(number, math.nan)
+    deviation = np.sqrt(variance + sampling)
     slopes = np.asarray(coordinates.slopes(jnp.asarray(at.u)))
     low, high = (
         np.asarray(coordinates.parameters(jnp.asarray(at.u + side * deviation)))
@@ -143,6 +150,7 @@ def achieved_targets(task: Task, found: Search) -> list[Achieved]:
                 target.value,
                 target.uncertainty,
                 float(mean[i]),
+                float(metrics[:, i].mean()),
                 float(spread[i]),
                 float(residual[i]),
                 reason,

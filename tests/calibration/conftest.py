@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from jaxgrow.calibration.growths import Measured
@@ -38,3 +39,29 @@ class Formula:
 @pytest.fixture
 def formula():
     return Formula
+
+
+class Chaos:
+    """Two metrics, -log(k / true), that scatter between any two growths.
+
+    One lesion determines log k to 0.25, whatever its seed. The slopes are four tenths
+    of the true ones. Further parameters have no effect.
+    """
+
+    def __init__(self, true):
+        self.true = true
+
+    def measure(self, seed, values):
+        rng = np.random.default_rng([seed, *np.array(values).view(np.uint32)])
+        scatter = 0.25 * math.sqrt(2) * rng.standard_normal(2)
+        metrics = scatter - math.log(values[0] / self.true)
+        return Measured(seed, values, "REACHED", tuple(metrics.tolist()))
+
+    def slopes(self, _, values):
+        row = (-0.4 / values[0], *[0.0] * (len(values) - 1))
+        return row, row
+
+
+@pytest.fixture
+def chaos():
+    return Chaos

@@ -46,11 +46,10 @@ def test_a_folder_holds_growths_scene_and_plot(whole):
     value = kept["parameters"]["spring_stiffness"]["value"]
     assert scene == Scene(parameters=Parameters(spring_stiffness=value))
     with Image.open(whole / "fit.png") as picture:
-        assert picture.size == (1000, 420)
-        assert len(picture.getcolors(1 << 20)) > 50
+        assert picture.size == (1000, 420)  # its marks: test_chart
 
 
-@pytest.mark.parametrize("grows", [0, 1, 5, 6, 11])
+@pytest.mark.parametrize("grows", [0, 1, 9, 10, 19])
 def test_killed_and_resumed_it_ends_with_the_same_bits(grows, whole, tmp_path, formula):
     killed = tmp_path / "killed"
     with pytest.raises(KeyboardInterrupt):
@@ -99,7 +98,7 @@ def test_more_evaluations_go_on(tmp_path, formula):
     rest = formula(0.3)
     found = run(rest, tmp_path, evaluations=30)
     assert found.history[:2] == first.history
-    assert len(rest.asked) == len(found.growths) - 8
+    assert len(rest.asked) == len(found.growths) - 2 * len(found.task.fit.seeds)
 
 
 @pytest.mark.parametrize(
@@ -124,12 +123,66 @@ def test_a_damaged_file_is_refused(whole, formula):
         run(formula(), whole)
 
 
+def change(folder, **entries):
+    """Put other entries into a fit's file."""
+    content = json.loads((folder / "fit.json").read_text())
+    (folder / "fit.json").write_text(json.dumps({**content, **entries}))
+    return content
+
+
+def test_a_file_of_another_format_is_refused(whole, formula):
+    change(whole, format=7, growths="of another kind")
+    with pytest.raises(FitError, match=r"has format 7, and this .* reads 1; go on"):
+        run(formula(), whole)
+
+
+@pytest.mark.parametrize("damaged", [{"request": 3}, {"growths": [{}]}])
+def test_entries_that_make_no_sense_are_damage(damaged, whole, formula):
+    change(whole, **damaged)
+    with pytest.raises(FitError, match="is damaged or no fit"):
+        run(formula(), whole)
+
+
+def test_growths_of_other_versions_are_refused(whole, formula):
+    request = change(whole)["request"]
+    here = request["versions"]
+    other = {**here, "scipy": "1.0.1", "optax": "0.1"}
+    change(whole, request={**request, "versions": other})
+    with pytest.raises(FitError) as caught:
+        run(formula(), whole)
+    assert str(caught.value) == (
+        f"{whole} holds growths made with scipy 1.0.1 and optax 0.1, and here is "
+        f"scipy {here['scipy']} and optax {here['optax']}, which may make others; "
+        "install scipy 1.0.1 and optax 0.1 to go on with it, or give a new folder."
+    )
+
+
+def test_what_only_draws_may_have_another_version(whole, formula):
+    request = change(whole)["request"]
+    assert not {"pillow", "embreex"} & set(request["versions"])
+    older = {**request["versions"], "pillow": "1.0"}  # as files once had it
+    change(whole, request={**request, "versions": older})
+    run(formula(0.3), whole)
+
+
+def test_a_folder_is_made_with_its_first_growth(tmp_path, formula):
+    folder = tmp_path / "new" / "fit"
+    with pytest.raises(KeyboardInterrupt):
+        run(formula(grows=0), folder)
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(KeyboardInterrupt):
+        run(formula(grows=1), folder)
+    assert [file.name for file in folder.iterdir()] == ["fit.json"]
+
+
 def test_folders_that_cannot_be_used_are_refused(tmp_path, formula):
     (tmp_path / "note.txt").write_text("mine")
     with pytest.raises(FitError, match=r"there is note\.txt"):
         run(formula(), tmp_path)
     with pytest.raises(FitError, match="is a file"):
         run(formula(), tmp_path / "note.txt")
+    with pytest.raises(FitError, match=r"nothing can be written .*: Not a dir"):
+        run(formula(), tmp_path / "note.txt" / "fit")
     scene = Scene(organ=uterus())
     with pytest.raises(FitError, match="is in memory"):
         fit(scene, TARGETS, BOUNDS, grower=formula(), folder=tmp_path / "new")

@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from jaxgrow.calibration import fit
-from jaxgrow.calibration.growths import LesionGrower
+from jaxgrow.calibration.growths import LesionGrower, Measured
 from jaxgrow.calibration.task import Bounds, make_task
 from jaxgrow.cli import main
 from jaxgrow.grow import grow
 from jaxgrow.metrics import shape_metrics
+from jaxgrow.results import Result
 from jaxgrow.scene import Myoma, Polyp, Scene, Surroundings
+from jaxgrow.step import repeat
 
 
 # the scene of tests/test_replay.py, whose programs are compiled already
@@ -62,8 +64,9 @@ def test_the_command_fits_and_tells(command, tmp_path, capsys):
     assert len(kept["growths"]) == 2
     assert kept["outcome"]["history"][1]["loss"] < kept["outcome"]["history"][0]["loss"]
     lines = output.err.splitlines()
-    assert lines[0].startswith("evaluation 0 (start): 0.02: loss ")
-    assert lines[1].endswith(", accepted")
+    assert lines[0] == lines[2] == "  seed 0: REACHED"
+    assert lines[1].startswith("evaluation 0 (start): 0.02: loss ")
+    assert lines[3].endswith(", accepted")
     assert "spring_stiffness" in output.out
     assert "0.95 ± 0.05" in output.out
     assert "after 2 evaluations, 2 growths" in output.out
@@ -78,15 +81,42 @@ def test_the_command_refuses_in_one_sentence(command, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
-def test_the_command_says_that_an_interrupted_fit_goes_on(command, monkeypatch, capsys):
-    def interrupted(*_):
-        raise KeyboardInterrupt
+@pytest.mark.parametrize(
+    "before, after, sentence",
+    [
+        ('"polyp"', '"polyp"\nsite = "nowhere"', "nowhere"),
+        ("[lesion]", 'organ = "absent.ply"\n[lesion]', "absent.ply"),
+    ],
+)
+def test_a_refused_scene_leaves_no_folder(
+    before, after, sentence, command, tmp_path, capsys
+):
+    (tmp_path / "scene.toml").write_text(TOML.replace(before, after))
+    assert main(command) == 2
+    assert sentence in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("growths", [0, 1])
+def test_the_command_says_that_an_interrupted_fit_goes_on(
+    growths, command, tmp_path, monkeypatch, capsys
+):
+    made = []
+
+    def interrupted(_, seed, values):
+        if len(made) == growths:
+            raise KeyboardInterrupt
+        made.append(seed)
+        return Measured(seed, values, "REACHED", (0.9, 2.0))
 
     monkeypatch.setattr(LesionGrower, "measure", interrupted)
+    monkeypatch.setattr(LesionGrower, "slopes", lambda *_: ())
     assert main(command) == 130
-    lines = capsys.readouterr().err.splitlines()
-    assert "the same command goes on from there." in lines[0]
-    assert lines[-1] == "jaxgrow: interrupted."
+    said = capsys.readouterr().err
+    assert said.splitlines()[-1] == "jaxgrow: interrupted."
+    kept = (tmp_path / "out" / "fit.json").exists()
+    assert kept == (growths == 1)
+    assert ("the same command goes on there." in said) == kept
 
 
 def test_slopes_are_the_same_if_the_growth_is_no_longer_known():
@@ -109,6 +139,26 @@ def test_slopes_are_the_same_if_the_growth_is_no_longer_known():
 
     wanted = (exact(0.2 + step) - exact(0.2 - step)) / (2 * step)
     np.testing.assert_allclose(first.slopes(0, (0.2,)), [[wanted]], rtol=0.01)
+
+
+def test_a_replay_that_finds_no_equilibrium_has_no_slopes(monkeypatch):
+    scene = Scene(organ=None, lesion=Myoma(divisions=11))
+    entries = {
+        "targets": {"tumour_diameter_mm": (3.0, 0.1)},
+        "parameters": {"adhesion": (0.05, 0.35)},
+    }
+    grower = LesionGrower(scene, make_task(entries, source="test"))
+    assert grower.measure(0, (0.2,)).success
+    steps = []
+
+    def fails_at_last(*arguments):
+        steps.append(repeat(*arguments))
+        result = Result.STEP_LIMIT if len(steps) == 11 else steps[-1].result
+        return replace(steps[-1], result=result)
+
+    monkeypatch.setattr("jaxgrow.replay.repeat", fails_at_last)
+    assert grower.slopes(0, (0.2,)) == ()
+    assert len(steps) == 11
 
 
 def test_a_growth_that_is_not_finished_has_no_metrics():

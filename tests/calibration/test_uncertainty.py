@@ -58,7 +58,10 @@ def test_one_seed_says_nothing_of_the_spread():
     found = fit(
         Scene(), {"height_mm": (0.0, 0.1)}, WIDE, grower=Lines([[1.0]]), seeds=[4]
     )
-    assert math.isnan(found.parameters["spring_stiffness"].from_seeds)
+    stiffness = found.parameters["spring_stiffness"]
+    assert math.isnan(stiffness.from_seeds)
+    assert math.isnan(stiffness.low)
+    assert math.isnan(stiffness.high)
     assert math.isnan(found.targets["height_mm"].spread)
     assert found.as_dict()["targets"]["height_mm"]["spread"] is None
 
@@ -70,6 +73,21 @@ def test_what_the_targets_do_not_determine_is_said():
     free = found.parameters["contact_adhesion"]
     assert not free.determined
     assert free.low < free.value < free.high
+
+
+def test_scatter_does_not_determine_a_parameter(chaos):
+    bounds = {
+        "spring_stiffness": Bounds(low=0.004, high=0.4, start=0.05),
+        "adhesion": Bounds(low=0.05, high=0.35, start=0.2),
+    }
+    targets = {"height_mm": (0.0, 0.04), "width_mm": (0.0, 0.04)}
+    determined = []
+    for i in range(30):
+        seeds = range(4 * i, 4 * (i + 1))
+        found = fit(Scene(), targets, bounds, grower=chaos(0.12), seeds=seeds)
+        assert found.parameters["spring_stiffness"].determined
+        determined.append(found.parameters["adhesion"].determined)
+    assert np.mean(determined) < 0.25  # half of them if scatter counts
 
 
 def test_a_target_beyond_the_bounds_is_unreachable():
