@@ -10,6 +10,8 @@
   10 %.
 - ``both``, ``both-high``: spring stiffness and contact adhesion together, one start
   three times too low and one three times too high, and the other way round.
+- ``both-more``, ``both-high-more``: on from where these ended, with more seeds, since
+  one lesion determines its contact adhesion to a half only.
 - ``expert``: a pedunculated polyp of 12 mm, height over width 1.8 ± 0.2, neck over
   width 0.4 ± 0.1: reached, or which of the two is not, and why.
 - ``simplex``, ``cma``: ``both`` without derivatives, by SciPy's Nelder-Mead (the fit's
@@ -23,6 +25,7 @@ figures are merged into ``experiments/results/calibration.json`` and drawn to
 import argparse
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -65,18 +68,20 @@ class Size:
     Attributes:
         planted: number of seeds the targets are the mean of.
         seeds: number of seeds of a fit.
+        more_seeds: of another fit, that goes on from where the first one ended.
         evaluations: of a fit, at most.
         expert_seeds: number of seeds of the expert's case.
     """
 
     planted: int
     seeds: int
+    more_seeds: int
     evaluations: int
     expert_seeds: int
 
 
-QUICK = Size(planted=8, seeds=4, evaluations=5, expert_seeds=2)
-FULL = Size(planted=192, seeds=16, evaluations=12, expert_seeds=6)
+QUICK = Size(planted=8, seeds=4, more_seeds=8, evaluations=5, expert_seeds=2)
+FULL = Size(planted=192, seeds=16, more_seeds=48, evaluations=12, expert_seeds=6)
 
 
 def planted_targets(size: Size, out: Path) -> dict[str, jg.Target]:
@@ -125,11 +130,17 @@ def bounds_from(starts: dict[str, float]) -> dict[str, jg.Bounds]:
 
 
 def recover(
-    name: str, starts: dict[str, float], size: Size, out: Path, *, derivatives: bool
+    name: str,
+    starts: dict[str, float],
+    seeds: Sequence[int],
+    size: Size,
+    out: Path,
+    *,
+    derivatives: bool = True,
 ) -> dict[str, Any]:
     """Fit planted targets from a start."""
     targets, bounds = planted_targets(size, out), bounds_from(starts)
-    effort = {"seeds": tuple(range(size.seeds)), "evaluations": size.evaluations}
+    effort = {"seeds": tuple(seeds), "evaluations": size.evaluations}
     grower = None
     if not derivatives:
         entries = {"targets": targets, "parameters": bounds, "fit": effort}
@@ -241,11 +252,30 @@ def run(name: str, size: Size, out: Path) -> dict[str, Any]:
         return expert(size, out)
     if name == "cma":
         return cma(both, size, out)
+    seeds = range(size.seeds)
+    if name.endswith("-more"):
+        first = json.loads((out / name.removesuffix("-more") / "fit.json").read_text())
+        found = first["outcome"]["parameters"]
+        start = {parameter: found[parameter]["value"] for parameter in found}
+        more = range(size.seeds, size.seeds + size.more_seeds)
+        return recover(name, start, more, size, out)
     derivatives = name != "simplex"
-    return recover(name, starts.get(name, both), size, out, derivatives=derivatives)
+    return recover(
+        name, starts.get(name, both), seeds, size, out, derivatives=derivatives
+    )
 
 
-CASES = ("low", "high", "both", "both-high", "simplex", "cma", "expert")
+CASES = (
+    "low",
+    "high",
+    "both",
+    "both-more",
+    "both-high",
+    "both-high-more",
+    "simplex",
+    "cma",
+    "expert",
+)
 
 
 def draw(rows: dict[str, dict[str, Any]], path: Path) -> None:

@@ -1,7 +1,7 @@
 """How exact a gradient through growth is, what it costs, and what it is worth.
 
     python experiments/gradient_quality.py exactness --divisions 10 50
-    python experiments/gradient_quality.py sweep --points 16 --seeds 4
+    python experiments/gradient_quality.py sweep --points 12 --seeds 4
 
 *exactness* compares the reverse derivative of five metrics, in every parameter, with
 central differences of replays along the frozen path, and measures seconds and memory.
@@ -293,7 +293,7 @@ def main() -> None:
     parser.add_argument("--divisions", type=int, nargs="*", default=[10, 50, 200])
     parser.add_argument("--only", nargs="*", default=[], help="parameters")
     parser.add_argument("--size", type=int, default=20, help="divisions of the sweep")
-    parser.add_argument("--points", type=int, default=16)
+    parser.add_argument("--points", type=int, default=12)
     parser.add_argument("--seeds", type=int, default=4)
     options = parser.parse_args()
     jax.config.update("jax_enable_x64", True)

@@ -99,7 +99,8 @@ def _targets(draw: Any, fit: Fit, box: Box) -> None:
     for number, (name, target) in enumerate(fit.targets.items()):
         y = top + (number + 0.5) * step
         size = 12 if step > 34 * _SCALE else 9
-        words = f"{target.achieved:.3g} of {target.target:g} ± {target.uncertainty:g}"
+        wanted = f"{target.target:.4g} ± {target.uncertainty:.2g}"
+        words = f"{target.achieved:.3g} of {wanted}"
         _text(draw, left - 8 * _SCALE, y - 0.6 * size * _SCALE, name, "rm", size)
         _text(draw, left - 8 * _SCALE, y + 0.6 * size * _SCALE, words, "rm", size)
         colour = _BLUE if target.reached else _RED

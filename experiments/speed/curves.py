@@ -1,0 +1,163 @@
+"""Work-precision curves: error against seconds, along the axes of a `Setting`.
+
+A point is one setting, relaxed from the same jittered dense ball as all others. Its
+errors are those of `speed.errors.errors_of`: against the equilibrium to 1e-12 that its
+own end goes on to, under the law of the axis. Another relaxer is an entry of
+`RELAXERS`, another axis one of `AXES`.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+import jaxgrow as jg
+from jaxgrow.equilibrium.listing import allocate_lists
+from jaxgrow.equilibrium.problem import Problem
+from jaxgrow.equilibrium.relax import Method
+from jaxgrow.neighbors import SKIN
+from jaxgrow.transfer import get
+
+from .errors import errors_of
+from .fire import FIRE
+from .lbfgs import relax_lbfgs
+from .measure import measure_in_turns, Options, spread
+from .scenes import dense_ball, particles_of
+
+
+Points = Float[np.ndarray, "n 3"]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One way to relax.
+
+    Attributes:
+        relaxer: name in `RELAXERS`.
+        tolerance: largest force left, in F(0).
+        smoothing: of the law, in r0.
+        dtype: of the positions.
+        skin: extra radius of the lists, in r0.
+    """
+
+    relaxer: str = "jaxgrow auto"
+    tolerance: float = 1e-4
+    smoothing: float = 0.1
+    dtype: Literal["float64", "float32"] = "float64"
+    skin: float = SKIN
+
+
+def jaxgrow(method: Method) -> Callable[[Setting, Points], Callable[[int], Any]]:
+    """A method of `jaxgrow.relax`, lists for the start given."""
+
+    def prepared(setting: Setting, start: Points) -> Callable[[int], Any]:
+        if setting.skin != SKIN:
+            raise ValueError(f"jaxgrow's skin is {SKIN}; it cannot be chosen yet.")
+        particles = eqx.tree_at(
+            lambda p: p.position,
+            particles_of(start),
+            jnp.asarray(start, setting.dtype),
+        )
+        parameters = jg.Parameters(smoothing=setting.smoothing)
+        lists = allocate_lists(Problem.of(particles, None, parameters))
+
+        def relax(_: int) -> Any:
+            end = jg.relax(
+                particles,
+                parameters=parameters,
+                tolerance=setting.tolerance,
+                method=method,
+                lists=lists,
+            )
+            assert end.state[0] is not None
+            return get(end.state[0].position).astype(float), end.result.name
+
+        return relax
+
+    return prepared
+
+
+def numba_lbfgs(setting: Setting, start: Points) -> Callable[[int], Any]:
+    """The yardstick's L-BFGS."""
+    if setting.dtype != "float64":
+        raise ValueError("the yardsticks compute in 64 bits.")
+    return lambda _: (
+        relax_lbfgs(
+            start,
+            tolerance=setting.tolerance,
+            smoothing=setting.smoothing,
+            skin=setting.skin,
+        ).position,
+        "",
+    )
+
+
+def jax_md_fire(setting: Setting, start: Points) -> Callable[[int], Any]:
+    """jax-md as it comes."""
+    if setting.dtype != "float64" or setting.skin != SKIN:
+        raise ValueError(f"jax-md is measured in 64 bits with a skin of {SKIN}.")
+    extent = float(start.min()), float(start.max())
+    fire = FIRE(start, extent, smoothing=setting.smoothing)
+    neighbours = fire.listed(start)
+    return lambda _: (fire(start, setting.tolerance, neighbours).position, "")
+
+
+RELAXERS: dict[str, Callable[[Setting, Points], Callable[[int], Any]]] = {
+    "jaxgrow auto": jaxgrow("auto"),
+    "jaxgrow lbfgs": jaxgrow("lbfgs"),
+    "jaxgrow fire": jaxgrow("fire"),
+    "numba lbfgs": numba_lbfgs,
+    "jax-md fire": jax_md_fire,
+}
+
+TOLERANCES = tuple(10.0**-k for k in range(1, 9))
+
+AXES: dict[str, list[Setting]] = {
+    "tolerance": [
+        Setting(relaxer=name, tolerance=t) for name in RELAXERS for t in TOLERANCES
+    ],
+    "smoothing": [
+        replace(Setting(tolerance=1e-6), smoothing=s)
+        for s in (0.02, 0.05, 0.1, 0.15, 0.2)
+    ],
+    "dtype": [
+        Setting(relaxer="jaxgrow lbfgs", tolerance=t, dtype=d)
+        for d in ("float64", "float32")
+        for t in (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)
+    ],
+    "skin": [
+        Setting(relaxer="numba lbfgs", tolerance=1e-6, skin=s)
+        for s in (0.1, 0.2, 0.3, 0.4, 0.6, 0.8)
+    ],
+}
+
+
+def work_precision(axis: str, options: Options) -> Iterator[dict[str, Any]]:
+    """The points of an axis, all measured in turns.
+
+    Args:
+        axis: name in `AXES`.
+        options: a ball of 1000 particles if quick, of 10 000 if not.
+    """
+    count = 1000 if options.quick else 10_000
+    start = dense_ball(count, np.random.default_rng(0))
+    settings = {str(number): s for number, s in enumerate(AXES[axis])}
+    contenders = {n: RELAXERS[s.relaxer](s, start) for n, s in settings.items()}
+    measured = measure_in_turns(contenders, options, shortest=0.0)
+    for name, setting in settings.items():
+        position, result = measured.outcomes[name][-1]
+        # another law has another equilibrium: its error is against the default's
+        law = Setting() if axis == "smoothing" else setting
+        yield {
+            **asdict(setting),
+            "axis": axis,
+            "particles": count,
+            "result": result,
+            "seconds": spread(measured.seconds[name]),
+            "cpu_seconds": spread(measured.cpu_seconds[name]),
+            "errors": errors_of(position, smoothing=law.smoothing),
+        }

@@ -1,0 +1,123 @@
+"""Rows: one evaluation of the forces, against the numba loop over the same lists."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from jaxgrow.equilibrium.listing import allocate_lists
+from jaxgrow.equilibrium.problem import Lists, Problem
+from jaxgrow.transfer import get
+
+from .errors import extended_forces, relative
+from .measure import measure_in_turns, Options, Row
+from .pairs import pair_forces
+from .scenes import dense_ball, LOOSE, neighbours_of, particles_of, polyp
+
+
+SAMPLE = 300
+"""Particles whose force is computed in extended precision too."""
+
+
+@eqx.filter_jit
+def _forces(problem: Problem, lists: Lists) -> Any:
+    """What the relaxation of jaxgrow evaluates in every step."""
+    return problem.forces(problem.nodes(), lists)
+
+
+def pair_force(options: Options, count: int) -> Iterator[Row]:
+    """Pair forces in a jittered dense ball."""
+    position = dense_ball(count, np.random.default_rng(0), spacing=LOOSE)
+    particles = particles_of(position)
+    problem = Problem.of(particles, None)
+    lists = allocate_lists(problem)
+    start, index = neighbours_of(lists, get(particles.alive))
+    out = np.zeros_like(position)
+
+    def numba(_: int) -> Float[np.ndarray, "n 3"]:
+        return pair_forces(position, start, index, out=out)
+
+    measured = measure_in_turns(
+        {"jaxgrow": lambda _: _forces(problem, lists), "numba": numba},
+        options,
+    )
+    found = get(measured.outcomes["jaxgrow"][-1].particles)
+    sample = np.random.default_rng(1).choice(count, SAMPLE, replace=False)
+    exact = extended_forces(position, start, index, sample, adhesion=0.2, smoothing=0.1)
+    assert lists.neighbors is not None
+    yield Row(
+        f"pair-force-{count // 1000}k",
+        "one pair-force evaluation: jaxgrow over numba, same list",
+        **measured.compare("jaxgrow", "numba"),
+        bar=1.3,
+        errors={
+            "jaxgrow against numba": relative(found, out),
+            "jaxgrow": relative(found[sample], exact),
+            "numba": relative(out[sample], exact),
+        },
+        details={
+            "particles": count,
+            "listed_per_particle": len(index) / count,
+            "slots_per_particle": lists.neighbors.idx.shape[1],
+            "nanoseconds_per_listed_pair": {
+                name: 1e9 * float(np.median(all_)) / len(index)
+                for name, all_ in measured.seconds.items()
+            },
+        },
+    )
+
+
+def pair_force_10k(options: Options) -> Iterator[Row]:
+    """Pair forces of 10 000 particles."""
+    return pair_force(options, 10_000)
+
+
+def pair_force_100k(options: Options) -> Iterator[Row]:
+    """Pair forces of 100 000 particles."""
+    return pair_force(options, 100_000)
+
+
+def contact_force(options: Options) -> Iterator[Row]:
+    """Pairs, contact and springs of a polyp, against exact point-triangle contact."""
+    scene = polyp(60 if options.quick else 200)
+    exact, smooth = scene.loop(smooth=False), scene.loop(smooth=True)
+    measured = measure_in_turns(
+        {
+            "jaxgrow": lambda _: _forces(scene.problem, scene.lists),
+            "numba": lambda _: exact(),
+            "numba, smooth minimum": lambda _: smooth(),
+        },
+        options,
+    )
+    found = scene.of_living(measured.outcomes["jaxgrow"][-1])
+    loops = {name: measured.outcomes[name][-1] for name in list(measured.outcomes)[1:]}
+    assert scene.lists.contacts is not None
+    assert scene.lists.neighbors is not None
+    yield Row(
+        "contact-force",
+        "one force evaluation of a polyp with contact: jaxgrow over numba",
+        **measured.compare("jaxgrow", "numba"),
+        bar=2.0,
+        errors={
+            "jaxgrow against the same law": relative(
+                found, loops["numba, smooth minimum"]
+            ),
+            "jaxgrow against the nearest triangle": relative(found, loops["numba"]),
+        },
+        details={
+            "particles": len(scene.position),
+            "slots": scene.lists.neighbors.idx.shape[0],
+            "listed_per_particle": len(scene.neighbours[1]) / len(scene.position),
+            "slots_per_particle": scene.lists.neighbors.idx.shape[1],
+            "faces": len(scene.faces),
+            "contacts": len(scene.contacts[1]),
+            "slots_of_contacts": scene.lists.contacts.particle.shape[0],
+            "over_the_same_law": float(
+                np.median(
+                    measured.compare("jaxgrow", "numba, smooth minimum")["ratios"]
+                )
+            ),
+        },
+    )
