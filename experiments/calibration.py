@@ -71,6 +71,7 @@ class Size:
         more_seeds: of another fit, that goes on from where the first one ended.
         evaluations: of a fit, at most.
         expert_seeds: number of seeds of the expert's case.
+        expert_evaluations: of that fit, at most.
     """
 
     planted: int
@@ -78,10 +79,25 @@ class Size:
     more_seeds: int
     evaluations: int
     expert_seeds: int
+    expert_evaluations: int
 
 
-QUICK = Size(planted=8, seeds=4, more_seeds=8, evaluations=5, expert_seeds=2)
-FULL = Size(planted=192, seeds=16, more_seeds=48, evaluations=12, expert_seeds=6)
+QUICK = Size(
+    planted=8,
+    seeds=4,
+    more_seeds=8,
+    evaluations=5,
+    expert_seeds=2,
+    expert_evaluations=3,
+)
+FULL = Size(
+    planted=192,
+    seeds=16,
+    more_seeds=48,
+    evaluations=12,
+    expert_seeds=4,
+    expert_evaluations=8,
+)
 
 
 def planted_targets(size: Size, out: Path) -> dict[str, jg.Target]:
@@ -175,18 +191,17 @@ def summary(found: jg.Fit, starts: dict[str, float]) -> dict[str, Any]:
 
 def expert(size: Size, out: Path) -> dict[str, Any]:
     """The pedunculated polyp."""
-    starts = {"spring_stiffness": 0.02, "contact_adhesion": 0.3, "adhesion": 0.2}
+    starts = {"spring_stiffness": 0.02, "contact_adhesion": 0.5}
     bounds = {
         "spring_stiffness": jg.Bounds(low=0.002, high=0.2, start=0.02),
-        "contact_adhesion": jg.Bounds(low=0.03, high=1.5, start=0.3),
-        "adhesion": jg.Bounds(low=0.05, high=0.35, start=0.2),
+        "contact_adhesion": jg.Bounds(low=0.03, high=1.5, start=0.5),
     }
     found = jg.fit(
         EXPERT,
         {"height_to_width": (1.8, 0.2), "neck_to_width": (0.4, 0.1)},
         bounds,
         seeds=tuple(range(size.expert_seeds)),
-        evaluations=size.evaluations,
+        evaluations=size.expert_evaluations,
         folder=out / "expert",
         progress=lambda tried: print("expert", *tried, flush=True),
     )

@@ -270,6 +270,9 @@ def draw_sweep(figures: dict[str, Any]) -> None:
         bottom.semilogx(x, mean, "C3-", label="frozen path, mean of seeds")
         bottom.semilogx(x, row["trend_slope_per_ln_k"], "k", label="slope of the trend")
         bottom.axhline(0, color="0.8", lw=0.8)
+        for panel in (top, bottom):
+            panel.set_xticks([0.02, 0.05, 0.1], ["0.02", "0.05", "0.1"])
+            panel.set_xticks([], minor=True)
         top.set(title=name)
         bottom.set(xlabel="spring stiffness", ylabel="per ln k")
     axes[0, 0].legend(fontsize=8)

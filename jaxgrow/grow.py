@@ -67,9 +67,15 @@ def grow(
     with others as the frozen path along which the derivative is taken.
 
     *Gradient behaviour.* The choices do change with the parameters, so the response of
-    a growth is piecewise smooth: the gradient is that of the piece. A growth of many
-    divisions responds to a parameter by another packing as much as by the slope of
-    this one; average over seeds before you trust a direction.
+    a growth is piecewise smooth, with small pieces: lesions of 20 divisions whose
+    spring stiffness differs by a quarter differ in height by 0.15 mm, while lesions
+    scatter around their trend by 0.19 mm. The gradient is that of the piece, and misses
+    what other choices do: averaged over 4 seeds and a decade of stiffness it is 0.2
+    (sphericity) to 0.4 (height, area) times the slope of the trend. Its sign is that of
+    the trend at all but 0 to 11 % of the values for one seed, at all for the mean of 4.
+    So take its direction, averaged over seeds, and let lesions that are grown anew tell
+    the length of a step, as `jaxgrow.fit` does. Figures are those of
+    ``experiments/gradient_quality.py sweep``.
 
     Args:
         scene: what to grow, and where.
