@@ -185,6 +185,7 @@ def summary(found: jg.Fit, starts: dict[str, float]) -> dict[str, Any]:
     gradient = [t for t in found.history if t.how == "gradient"]
     row["gradient_steps"] = len(gradient)
     row["gradient_steps_accepted"] = sum(t.accepted for t in gradient)
+    row["growths"] = len(found.history) * len(found.task.fit.seeds)
     row["growths_with_derivatives"] = sum(bool(g.slopes) for g in found.growths)
     return row
 

@@ -119,6 +119,12 @@ class Estimate(NamedTuple):
         return _error(np.einsum("stp,t->sp", self.jacobians, self.residual))
 
     @property
+    def compatible(self) -> bool:
+        """Whether every target is within its uncertainty and two standard errors."""
+        error = np.sqrt(np.diag(self.residual_error))
+        return bool(np.all(np.abs(self.residual) <= 1 + 2 * error))
+
+    @property
     def reached(self) -> bool:
         """Whether every target is within its uncertainty."""
         return bool(np.all(np.abs(self.residual) <= 1))

@@ -8,11 +8,11 @@ r"""The search: an optimiser's steps along gradients, then a derivative-free met
    `jaxgrow.grow`), so it may well propose what is no improvement; what a refused point
    shows corrects it.
 3. If `REFUSALS` steps in turn are refused, or the derivative does not exist, or it
-   seems to vanish where a target is not reached, but is not known well enough for that,
-   Nelder and Mead's simplex (SciPy) goes on from the best point. From a start that does
-   not grow it leads to a point that does, and steps along gradients begin there.
+   seems to vanish where a target is clearly missed, but is not known well enough for
+   that, Nelder and Mead's simplex (SciPy) goes on from the best point. From a start
+   that does not grow it leads to a point that does; gradients take over there.
 
-It ends when a step promises less than `GAIN`, or less than a quarter of what the
+It ends when a step promises less than `GAIN`, or is shorter than a quarter of what the
 scatter over the seeds leaves open; when the simplex has shrunk; or when the evaluations
 are used up. The fit is the point where the estimated loss is least.
 """
@@ -42,7 +42,7 @@ GAIN = 1e-3
 
 SETTLED = 1 / 16
 """The same, as a share of what the scatter over the seeds lets a step seem to promise:
-a step is then half as long as it is uncertain."""
+a step is then a quarter as long as it is uncertain."""
 
 KNOWN = 0.1
 """Share of the loss that the gradient's own error may let a step seem to promise, for a
@@ -279,7 +279,7 @@ def _along_gradients(
                 return None
             here = trail.estimate(at)
         if _is_settled(here):
-            return End.CONVERGED if here.reached or _is_known(here) else None
+            return End.CONVERGED if here.compatible or _is_known(here) else None
         update, proposed = extended.update(
             jnp.asarray(here.gradient),
             state,

@@ -180,6 +180,16 @@ def test_scatter_is_not_taken_for_a_gradient_that_vanishes(chaos):
     assert far == 0  # 4 if whatever seems to vanish is believed
 
 
+def test_targets_finer_than_the_scatter_are_no_reason_to_search_on(chaos):
+    fine = {name: (value, 0.01) for name, (value, _) in CHAOTIC.items()}
+    bounds = {"spring_stiffness": Bounds(low=0.004, high=0.4, start=TRUE / 2)}
+    for i in range(10):
+        seeds = range(16 * i, 16 * (i + 1))
+        found = fit(SCENE, fine, bounds, grower=chaos(TRUE), seeds=seeds)
+        assert found.end is End.CONVERGED
+        assert "derivative-free" not in [tried.how for tried in found.history]
+
+
 def test_what_is_said_to_be_achieved_is_no_luck(chaos):
     achieved, grown = [], []
     for found in fits_in_chaos(chaos(TRUE), 30, 16, [TRUE / 2]):
