@@ -321,6 +321,8 @@ def draw(rows: dict[str, dict[str, Any]], path: Path) -> None:
             middle.semilogy(np.minimum.accumulate(known), label=case)
     left.axvspan(0.9, 1.1, color="0.9")
     left.set_xscale("log")
+    left.set_xticks([1 / 3, 1, 3], ["1/3", "1", "3"])
+    left.set_xticks([], minor=True)
     left.set_yticks(range(len(ticks)), ticks)
     left.set_xlabel("fitted / true (hollow: start; band: ± 10 %)")
     middle.set_xlabel("evaluation")
@@ -330,7 +332,7 @@ def draw(rows: dict[str, dict[str, Any]], path: Path) -> None:
     right.barh(cases, [rows[case]["growths"] for case in cases], label="growths")
     replays = [rows[case]["growths_with_derivatives"] for case in cases]
     right.barh(cases, replays, height=0.3, label="of them with a derivative")
-    right.legend(frameon=False)
+    right.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, 1.18))
     figure.tight_layout()
     figure.savefig(path, dpi=110)
 

@@ -72,10 +72,10 @@ def grow(
     scatter around their trend by 0.19 mm. The gradient is that of the piece, and misses
     what other choices do: averaged over 4 seeds and a decade of stiffness it is 0.2
     (sphericity) to 0.4 (height, area) times the slope of the trend. Its sign is that of
-    the trend at all but 0 to 11 % of the values for one seed, at all for the mean of 4.
-    So take its direction, averaged over seeds, and let lesions that are grown anew tell
-    the length of a step, as `jaxgrow.fit` does. Figures are those of
-    ``experiments/gradient_quality.py sweep``.
+    the trend at all but 0 to 11 % of the values for one seed, and for the mean of 4 at
+    all that have 4. So take its direction, averaged over seeds, and let lesions that
+    are grown anew tell the length of a step, as `jaxgrow.fit` does. Figures are those
+    of ``experiments/gradient_quality.py sweep``.
 
     Args:
         scene: what to grow, and where.
