@@ -10,6 +10,7 @@ import pytest
 from scipy.sparse import lil_array
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import KDTree
+from scipy.spatial.distance import pdist
 
 from jaxgrow.energy.a2 import A2
 from jaxgrow.energy.pair import pair_force
@@ -109,7 +110,8 @@ def test_order_of_the_particles_is_irrelevant_at_the_end(make_particles):
     order = rng.permutation(20)
     first = relax(make_particles(position), tolerance=1e-9).state[0].position[:20]
     second = relax(make_particles(position[order]), tolerance=1e-9).state[0].position
-    np.testing.assert_allclose(second[:20], first[order], atol=1e-6)
+    # rounding on the way may turn and shift a free cluster as a whole
+    np.testing.assert_allclose(pdist(second[:20]), pdist(first[order]), atol=1e-7)
 
 
 # a membrane alone
