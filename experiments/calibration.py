@@ -6,12 +6,11 @@
 
 - ``low``, ``high``: targets are the mean metrics of lesions grown with a known spring
   stiffness; it is sought from starts three times off on either side, with other seeds.
-  One such lesion determines its stiffness to a third, so it takes many to know it to
-  10 %.
+  Single lesions scatter, so it takes many to know a stiffness to 10 %.
 - ``both``, ``both-high``: spring stiffness and contact adhesion together, one start
   three times too low and one three times too high, and the other way round.
 - ``both-more``, ``both-high-more``: on from where these ended, with more seeds, since
-  one lesion determines its contact adhesion to a half only.
+  a lesion tells less of its contact adhesion than of its stiffness.
 - ``expert``: a pedunculated polyp of 12 mm, height over width 1.8 ± 0.2, neck over
   width 0.4 ± 0.1: reached, or which of the two is not, and why.
 - ``simplex``, ``cma``: ``both`` without derivatives, by SciPy's Nelder-Mead (the fit's
@@ -114,7 +113,6 @@ def planted_targets(size: Size, out: Path) -> dict[str, jg.Target]:
         },
         source="the plant",
     )
-    out.mkdir(parents=True, exist_ok=True)
     request = describe_request(SCENE, task)
     growths = Growths(LesionGrower(SCENE, task), request, out / "planted.json")
     values = tuple(TRUTH[name] for name in BOUNDS)
@@ -132,7 +130,7 @@ def planted_targets(size: Size, out: Path) -> dict[str, jg.Target]:
 class WithoutDerivatives(LesionGrower):
     """Growths whose derivatives are not asked for."""
 
-    def slopes(self, seed: int, values: Values) -> tuple[()]:  # noqa: ARG002  (none)
+    def slopes(self, seed: int, values: Values) -> tuple[()]:  # noqa: ARG002  (Grower's)
         """None exist."""
         return ()
 
@@ -327,12 +325,13 @@ def draw(rows: dict[str, dict[str, Any]], path: Path) -> None:
     left.set_xlabel("fitted / true (hollow: start; band: ± 10 %)")
     middle.set_xlabel("evaluation")
     middle.set_ylabel("least loss")
-    middle.legend(frameon=False)
+    above = {"frameon": False, "loc": "lower center", "bbox_to_anchor": (0.5, 1.0)}
+    middle.legend(**above, ncol=2)
     cases = [case for case in rows if case != "expert"]
     right.barh(cases, [rows[case]["growths"] for case in cases], label="growths")
     replays = [rows[case]["growths_with_derivatives"] for case in cases]
     right.barh(cases, replays, height=0.3, label="of them with a derivative")
-    right.legend(frameon=False, loc="upper center", bbox_to_anchor=(0.5, 1.18))
+    right.legend(**above)
     figure.tight_layout()
     figure.savefig(path, dpi=110)
 

@@ -93,9 +93,9 @@ def exactness(options: argparse.Namespace) -> dict[str, Any]:
     for divisions in options.divisions:
         scene = scene_of(divisions)
         for _ in range(2):  # the second time nothing is compiled
-            growing = timed(lambda s=scene: jg.grow(s, tolerance=1e-10).state)[1]
+            growth, growing = timed(lambda s=scene: jg.grow(s, tolerance=1e-10))
         _, usual = timed(lambda s=scene: jg.grow(s).state)
-        events = jg.grow(scene, tolerance=1e-10).events
+        events = growth.events
 
         def along(
             p: jg.Parameters, s: Any = scene, e: Any = events, **more: Any

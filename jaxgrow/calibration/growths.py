@@ -167,7 +167,6 @@ class Growths:
         self._grower, self._request, self._file = grower, request, file
         self._grown = grown
         self._known: dict[tuple[int, Values], Measured] = {}
-        self.made = 0
         if file is not None and file.exists():
             for entry in read_fit(file, request)["growths"]:
                 known = _measured(entry)
@@ -183,7 +182,6 @@ class Growths:
         if (seed, values) not in self._known:
             measured = self._grower.measure(seed, values)
             self._keep(measured)
-            self.made += 1
             if self._grown is not None:
                 self._grown(measured)
         return self._known[seed, values]
