@@ -6,9 +6,10 @@ At an equilibrium :math:`F(x^*, \theta) = 0`, so
           \bar\theta = (\partial_\theta F)^T H^{-1} \bar x
 
 (implicit function theorem; H is symmetric, so the same solver serves both). Forward and
-reverse mode each take one linear solve and one that proves the equilibrium a strict
-minimum, see `jaxgrow.equilibrium.response`, and keep the equilibrium alone: nothing of
-the way to it. If either fails the derivative is NaN, all of it.
+reverse mode take one linear solve in every direction, and keep the equilibrium alone:
+nothing of the way to it. One more solve, when the equilibrium is found, proves it a
+strict minimum (`jaxgrow.equilibrium.response`). If either fails the derivative is NaN,
+all of it.
 
 :math:`\theta` are the parameters, rest lengths, load, and positions of what is held or
 pinned. Where free nodes started from carries no derivative: an equilibrium is unique
@@ -27,7 +28,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
 from jaxgrow.equilibrium.problem import Lists, Problem
-from jaxgrow.equilibrium.response import linearise, respond
+from jaxgrow.equilibrium.response import linearise, probe, solve
 from jaxgrow.results import Result
 from jaxgrow.state import Nodes
 
@@ -45,7 +46,7 @@ def primal(tree: PyTree) -> PyTree:
 
 
 def at_equilibrium(
-    problem: Problem, nodes: Nodes, lists: Lists, valid: Bool[Array, ""]
+    problem: Problem, nodes: Nodes, lists: Lists, *, valid: bool
 ) -> Nodes:
     """The equilibrium, with its derivative in what the problem depends on.
 
@@ -56,8 +57,15 @@ def at_equilibrium(
         lists: valid there.
         valid: whether it is an equilibrium; if not, the derivative is NaN.
     """
+    known = primal(problem).at(nodes)
+    proved = _is_minimum(known, lists) if valid else jnp.zeros((), bool)
     floats, rest = eqx.partition(problem, eqx.is_inexact_array)
-    return _equilibrium(floats, (rest, nodes, lists, valid))
+    return _equilibrium(floats, (rest, nodes, lists, proved))
+
+
+@eqx.filter_jit
+def _is_minimum(problem: Problem, lists: Lists) -> Bool[Array, ""]:
+    return probe(linearise(problem, lists)).code == Result.CONVERGED.code
 
 
 @jax.custom_jvp
@@ -90,14 +98,14 @@ def _forces_and_nodes(
 
 @jax.jit
 def _forward(residuals: PyTree, flat: Float[Array, " k"]) -> Nodes:
-    floats, (rest, nodes, lists, valid) = residuals
+    floats, (rest, nodes, lists, proved) = residuals
     varied = ravel_pytree(floats)[1](flat)
     problem = eqx.combine(floats, rest).at(nodes)
     _, (force, own) = jax.jvp(
         lambda f: _forces_and_nodes(f, rest, nodes, lists), (floats,), (varied,)
     )
-    found = respond(linearise(problem, lists), force)
-    good = valid & (found.code == Result.CONVERGED.code)
+    found = solve(linearise(problem, lists), force)
+    good = proved & (found.code == Result.CONVERGED.code)
 
     def choose(on: Array, free: Array, own: Array) -> Array:
         return jnp.where(good, jnp.where(on > 0, free, own), jnp.nan)
@@ -107,12 +115,12 @@ def _forward(residuals: PyTree, flat: Float[Array, " k"]) -> Nodes:
 
 @jax.jit
 def _backward(residuals: PyTree, weight: Nodes) -> Float[Array, " k"]:
-    floats, (rest, nodes, lists, valid) = residuals
+    floats, (rest, nodes, lists, proved) = residuals
     problem = eqx.combine(floats, rest).at(nodes)
     free = problem.free()
     masked = jax.tree.map(jnp.multiply, free, weight)
-    found = respond(linearise(problem, lists), masked)
-    good = valid & (found.code == Result.CONVERGED.code)
+    found = solve(linearise(problem, lists), masked)
+    good = proved & (found.code == Result.CONVERGED.code)
     own = jax.tree.map(lambda on, w: jnp.where(on > 0, 0, w), free, weight)
     _, pull = jax.vjp(lambda f: _forces_and_nodes(f, rest, nodes, lists), floats)
     (total,) = pull((found.nodes, own))

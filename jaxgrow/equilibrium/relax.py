@@ -124,11 +124,12 @@ def relax(
     Particles at the very same point are set apart by a hair first.
 
     *Derivatives.* The equilibrium can be differentiated, in forward and reverse mode at
-    the price of two linear solves, with respect to parameters, rest lengths, load, and
-    the positions of what is held or pinned (`jaxgrow.equilibrium.implicit`). The
-    tolerance is then 1e-10 at most. Where free nodes started from has no derivative. If
-    the equilibrium was not reached, is not a strict minimum, or its linear system could
-    not be solved, the derivative is NaN; `jaxgrow.linear_response` says which.
+    the price of a linear solve a direction, with respect to parameters, rest lengths,
+    load, and the positions of what is held or pinned (`jaxgrow.equilibrium.implicit`).
+    The tolerance is then 1e-10 at most. Where free nodes started from has no
+    derivative. If the equilibrium was not reached, is not a strict minimum, or its
+    linear system could not be solved, the derivative is NaN; `jaxgrow.linear_response`
+    says which.
 
     No node moves farther in one step than 0.4 of its distance to what it must not
     cross, so particles stay on their side of the membrane throughout.
@@ -198,8 +199,8 @@ def relax(
         if done or result not in (Result.CONVERGED, Result.STEP_LIMIT):
             break
     if differentiated:
-        valid = jnp.asarray(result is Result.CONVERGED)
-        nodes = at_equilibrium(given, problem.nodes(), lists, valid)
+        valid = result is Result.CONVERGED
+        nodes = at_equilibrium(given, problem.nodes(), lists, valid=valid)
         problem = given.at(nodes)
     state = problem.particles, problem.membrane
     return Relaxation(state, result, stats, lists, forces)

@@ -17,8 +17,8 @@ counted.
 that it has further null modes (SINGULAR); a residual that stays too large gives
 NOT_SOLVED. Then the response is NaN, never a number. Forces that share a symmetry of
 the equilibrium do not excite what breaks it, so a column that is about to buckle
-answers a load along its axis as if it were stable. `respond` therefore first finds the
-response to a force without any symmetry: residual polynomials of conjugate gradients
+answers a load along its axis as if it were stable. `probe` therefore finds the response
+to a force without any symmetry: residual polynomials of conjugate gradients
 are 1 at the eigenvalue 0, and above 1 at negative ones as long as all curvatures met
 are positive, so the part of that force along such an eigenvector does not vanish, and
 convergence proves that there is none (up to the residual).
@@ -78,7 +78,7 @@ class Linearised(NamedTuple):
         feel: takes out of a vector what may not move and what touches nothing.
         project: takes the rigid modes out of it too.
         null_modes: their number.
-        probe: a force without any symmetry, on every row.
+        uneven: a force without any symmetry, on every row.
     """
 
     force: Nodes
@@ -86,7 +86,7 @@ class Linearised(NamedTuple):
     feel: Product
     project: Product
     null_modes: Int[Array, ""]
-    probe: Nodes
+    uneven: Nodes
 
 
 def solved(dtype: DTypeLike) -> float:
@@ -123,8 +123,8 @@ def linearise(problem: Problem, lists: Lists) -> Linearised:
     def product(vector: Nodes) -> Nodes:
         return jax.tree.map(jnp.negative, masked(slope(masked(vector))))
 
-    probe = jax.tree.map(_uneven, problem.nodes())
-    touching, rigid, count = _null_modes(problem, product(probe))
+    uneven = jax.tree.map(_uneven, problem.nodes())
+    touching, rigid, count = _null_modes(problem, product(uneven))
 
     def feel(vector: Nodes) -> Nodes:
         return jax.tree.map(jnp.multiply, touching, vector)
@@ -135,7 +135,7 @@ def linearise(problem: Problem, lists: Lists) -> Linearised:
             vector = _plus(vector, -dot(mode, vector), mode)
         return vector
 
-    return Linearised(masked(force), product, feel, project, count, probe)
+    return Linearised(masked(force), product, feel, project, count, uneven)
 
 
 def _uneven(rows: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
@@ -312,6 +312,18 @@ def solve(linear: Linearised, force: Nodes, relative: Scalar | None = None) -> R
     )
 
 
+def probe(linear: Linearised) -> Response:
+    """The response to a force without any symmetry: CONVERGED at a strict minimum only.
+
+    It is solved as far as the proof needs, not exactly.
+
+    Args:
+        linear: of a problem at an equilibrium.
+    """
+    dtype = jax.tree.leaves(linear.force)[0].dtype
+    return solve(linear, linear.uneven, max(_SEEN, solved(dtype)))
+
+
 def respond(linear: Linearised, force: Nodes) -> Response:
     """The response to forces of an equilibrium, if that is a strict minimum.
 
@@ -319,9 +331,7 @@ def respond(linear: Linearised, force: Nodes) -> Response:
         linear: of a problem at an equilibrium.
         force: on every node, in F(0); its part in the null modes is left out.
     """
-    found = solve(linear, force)
-    seen = max(_SEEN, solved(found.residual.dtype))
-    any_force = solve(linear, linear.probe, seen)
+    found, any_force = solve(linear, force), probe(linear)
     stable = any_force.code == Result.CONVERGED.code
     code = jnp.where(stable, found.code, any_force.code)
     return Response(
