@@ -30,6 +30,18 @@ def safe_norm(vector: Float[Array, "*shape 3"]) -> Float[Array, "*shape"]:
     return jnp.where(some, jnp.sqrt(jnp.where(some, square, 1)), 0)
 
 
+def farthest_two(moved: Float[Array, "n 3"]) -> Float[Array, ""]:
+    """Sum of the two longest moves: how much nearer any two of the points came.
+
+    A single point that moves (a daughter) so may go twice as far, before a list does
+    not hold, as it could if each might go half of the list's skin.
+    """
+    square = jnp.sum(moved**2, axis=1)
+    first = jnp.argmax(square)
+    second = jnp.max(square.at[first].set(0))
+    return jnp.sqrt(square[first]) + jnp.sqrt(second)
+
+
 def smallest_distance(dtype: DTypeLike) -> float:
     """Distance that stands for 0 where a power or a logarithm of it is taken.
 

@@ -115,7 +115,7 @@ def test_no_step_of_a_relaxation_lets_sheets_cross(minimiser, force):
     compiled = eqx.filter_jit(descend)
     for _ in range(120):
         if lists is None or bool(lists.stale):
-            lists = Lists(None, None, find(problem.membrane.vertices, None))
+            lists = Lists(None, None, collisions=find(problem.membrane.vertices, None))
         outcome = compiled(
             problem,
             lists,

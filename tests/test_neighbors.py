@@ -16,7 +16,7 @@ COUNT = 64
 
 def pairs_of(neighbors, position, radius=CUTOFF):
     """Listed pairs (ordered) that are within the radius."""
-    listed = np.asarray(nb.listed(neighbors))
+    listed = np.asarray(neighbors.listed)
     count = len(position)
     own = np.broadcast_to(np.arange(count), listed.shape)
     real = listed < count
@@ -34,6 +34,16 @@ def box(seed, scale=3.0, count=COUNT):
     return np.random.default_rng(seed).uniform(0, scale, (count, 3))
 
 
+def lattice():
+    return 2.5 * np.stack(np.unravel_index(np.arange(COUNT), (4, 4, 4)), axis=1)
+
+
+def roomy(position):
+    """A list with room for all."""
+    dense = nb.allocate(jnp.asarray(box(6, scale=1.5)))
+    return nb.allocate(jnp.asarray(position), dense)
+
+
 def test_every_pair_is_listed_once_from_both_sides():
     position = box(0)
     wanted = pairs_by_tree(position)
@@ -44,8 +54,8 @@ def test_every_pair_is_listed_once_from_both_sides():
 def test_entries_are_neighbour_major_and_nobody_is_its_own_neighbour():
     position = box(0)
     neighbors = nb.allocate(jnp.asarray(position))
-    listed = np.asarray(nb.listed(neighbors))
-    assert listed.shape == (neighbors.max_occupancy, COUNT)
+    listed = np.asarray(neighbors.listed)
+    assert listed.shape[1] == COUNT
     assert not np.any(listed == np.arange(COUNT))
 
 
@@ -62,13 +72,13 @@ def test_positions_far_outside_of_the_hash_lose_no_pair(offset):
 
 def test_particles_one_box_apart_are_no_neighbours():
     position = np.asarray(parked(COUNT)) * 1.0
-    position[:2] = [[0, 0, 0], [12 * (CUTOFF + nb.SKIN) * 1.0001, 0, 0]]
+    position[:2] = [[0, 0, 0], [12 * (CUTOFF + 0.9) * 1.0001, 0, 0]]
     assert pairs_of(nb.allocate(jnp.asarray(position)), position) == []
 
 
 def test_parked_slots_have_no_neighbours():
     position = np.concatenate([box(3, scale=2.0)[:40], np.asarray(parked(24))])
-    listed = np.asarray(nb.listed(nb.allocate(jnp.asarray(position))))
+    listed = np.asarray(nb.allocate(jnp.asarray(position)).listed)
     assert np.all(listed[:, 40:] == COUNT)
     assert not np.any((listed >= 40) & (listed < COUNT))
 
@@ -86,49 +96,71 @@ update = jax.jit(nb.update)
 def test_update_lists_every_pair_along_a_walk():
     rng = np.random.default_rng(4)
     position = box(4, scale=4.0)
-    neighbors = nb.allocate(jnp.asarray(position), 40)
+    neighbors = roomy(position)
     for _ in range(30):
         position = position + 0.1 * rng.normal(size=position.shape)
         neighbors = update(neighbors, jnp.asarray(position))
-        assert not nb.overflowed(neighbors)
+        assert not neighbors.overflow
         assert pairs_of(neighbors, position) == pairs_by_tree(position)
 
 
-def test_update_keeps_the_list_while_nobody_moved_by_half_the_skin():
+@pytest.mark.parametrize("share", [[1.0], [0.7, 0.3], [0.5, 0.5]])
+def test_update_keeps_the_list_until_two_moved_by_the_skin_together(share):
     position = box(5, scale=4.0)
-    neighbors = nb.allocate(jnp.asarray(position), 40)
-    step = np.array([0.49 * nb.SKIN, 0, 0])
-    one = np.arange(COUNT)[:, None] == 3
-    kept = update(neighbors, jnp.asarray(position + one * step))
-    np.testing.assert_array_equal(nb.listed(kept), nb.listed(neighbors))
-    np.testing.assert_array_equal(kept.reference_position, neighbors.reference_position)
-    moved = position + one * 1.1 * step
-    rebuilt = update(neighbors, jnp.asarray(moved))
-    shift = np.asarray(rebuilt.reference_position - neighbors.reference_position)
-    np.testing.assert_allclose(shift, moved - position, atol=1e-12)
+    neighbors = roomy(position)
+    step = np.zeros_like(position)
+    step[3 : 3 + len(share), 1] = share
+    step[10:, 0] = 0.005  # all others move too, but not as far
+    kept = update(neighbors, jnp.asarray(position + 0.99 * nb.SKIN * step))
+    np.testing.assert_array_equal(kept.listed, neighbors.listed)
+    np.testing.assert_array_equal(kept.reference, neighbors.reference)
+    moved = position + 1.15 * nb.SKIN * step
+    anew = update(neighbors, jnp.asarray(moved))
+    np.testing.assert_array_equal(anew.reference, moved)
+
+
+def test_near_list_is_found_in_a_wide_one_that_is_kept():
+    position = box(5, scale=4.0)
+    neighbors = roomy(position)
+    near = update(neighbors, jnp.asarray(position + np.array([0.3, 0, 0])))
+    np.testing.assert_array_equal(near.reference, position + np.array([0.3, 0, 0]))
+    before = neighbors.wide.reference_position
+    np.testing.assert_array_equal(near.wide.reference_position, before)
+    far = update(near, jnp.asarray(position + np.array([0.5, 0, 0])))
+    assert np.all(np.asarray(far.wide.reference_position - before)[:, 0] > 0.49)
 
 
 def test_update_that_does_not_fit_is_flagged_and_stays_flagged():
-    sparse = 2.5 * np.stack(np.unravel_index(np.arange(COUNT), (4, 4, 4)), axis=1)
+    sparse = lattice()
     neighbors = nb.allocate(jnp.asarray(sparse))
-    assert not nb.overflowed(neighbors)
+    assert not neighbors.overflow
     full = update(neighbors, jnp.asarray(box(6, scale=1.5)))
-    assert nb.overflowed(full)
-    assert nb.overflowed(update(full, jnp.asarray(sparse)))
+    assert full.overflow
+    assert update(full, jnp.asarray(sparse)).overflow
 
 
 def test_list_allocated_anew_after_an_overflow_is_complete():
     dense = box(6, scale=1.5)
-    again = nb.allocate(jnp.asarray(dense), 24)
-    assert not nb.overflowed(again)
+    again = nb.allocate(jnp.asarray(dense))
+    assert not again.overflow
     assert pairs_of(again, dense) == pairs_by_tree(dense)
 
 
 def test_list_that_is_made_anew_does_not_come_back_smaller():
-    sparse = 2.5 * np.stack(np.unravel_index(np.arange(COUNT), (4, 4, 4)), axis=1)
-    neighbors = nb.allocate(jnp.asarray(sparse), 37)
-    assert nb.listed(neighbors).shape[0] == 48
-    assert nb.allocate(jnp.asarray(sparse)).max_occupancy % 8 == 0
+    dense, sparse = roomy(box(7)), nb.allocate(jnp.asarray(lattice()))
+    again = nb.allocate(jnp.asarray(lattice()), dense)
+    assert sparse.listed.shape[0] < dense.listed.shape[0]
+    assert again.listed.shape == dense.listed.shape
+    assert again.wide.idx.shape == dense.wide.idx.shape
+
+
+def test_list_that_was_too_small_is_made_anew_larger_where_it_would_fit():
+    # the positions that it did not fit were given up
+    full = update(nb.allocate(jnp.asarray(lattice())), jnp.asarray(box(6, scale=1.5)))
+    again = nb.allocate(jnp.asarray(lattice()), full)
+    assert not again.overflow
+    rooms = [(a.listed.size, a.wide.idx.size) for a in (full, again)]
+    assert sum(rooms[1]) > sum(rooms[0])
 
 
 def test_lists_of_the_same_capacity_share_a_compiled_program():
@@ -137,10 +169,10 @@ def test_lists_of_the_same_capacity_share_a_compiled_program():
     @jax.jit
     def program(neighbors):
         compiled.append(1)
-        return nb.listed(neighbors).sum()
+        return neighbors.listed.sum()
 
     for seed in (7, 8, 9):
-        program(nb.allocate(jnp.asarray(box(seed, scale=6.0)), 40))
+        program(roomy(box(seed, scale=6.0)))
     assert len(compiled) == 1
 
 

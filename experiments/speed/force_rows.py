@@ -60,7 +60,7 @@ def pair_force(options: Options, count: int) -> Iterator[Row]:
         details={
             "particles": count,
             "listed_per_particle": len(index) / count,
-            "slots_per_particle": lists.neighbors.idx.shape[1],
+            "slots_per_particle": lists.neighbors.listed.shape[0],
             "nanoseconds_per_listed_pair": {
                 name: 1e9 * float(np.median(all_)) / len(index)
                 for name, all_ in measured.seconds.items()
@@ -108,9 +108,9 @@ def contact_force(options: Options) -> Iterator[Row]:
         },
         details={
             "particles": len(scene.position),
-            "slots": scene.lists.neighbors.idx.shape[0],
+            "slots": scene.lists.neighbors.listed.shape[1],
             "listed_per_particle": len(scene.neighbours[1]) / len(scene.position),
-            "slots_per_particle": scene.lists.neighbors.idx.shape[1],
+            "slots_per_particle": scene.lists.neighbors.listed.shape[0],
             "faces": len(scene.faces),
             "contacts": len(scene.contacts[1]),
             "slots_of_contacts": scene.lists.contacts.particle.shape[0],

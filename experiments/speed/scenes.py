@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float, Int
 import jaxgrow as jg
 from jaxgrow.equilibrium.listing import allocate_lists
 from jaxgrow.equilibrium.problem import Lists, Problem
-from jaxgrow.neighbors import listed
 from jaxgrow.state import Nodes
 from jaxgrow.transfer import get, put_particles
 
@@ -99,7 +98,7 @@ def neighbours_of(
     lists: Lists, alive: Bool[np.ndarray, " n"]
 ) -> tuple[Int[np.ndarray, " m+1"], Int[np.ndarray, " p"]]:
     """A jaxgrow list of neighbours as runs, of the living particles only."""
-    entries = get(listed(lists.neighbors)).T
+    entries = get(lists.neighbors.listed).T
     count = len(alive)
     owner, column = np.nonzero((entries < count) & alive[:, None])
     other = entries[owner, column]

@@ -34,9 +34,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxgrow.energy.a2 import A2
 from jaxgrow.energy.contact import barrier
-from jaxgrow.energy.distance import point_triangle_distance, segment_distance
+from jaxgrow.energy.distance import (
+    point_triangle_distance,
+    segment_distance,
+    split,
+)
 from jaxgrow.energy.smooth_minimum import smooth_minimum
-from jaxgrow.numerics import safe_norm
+from jaxgrow.numerics import farthest_two
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Membrane
 
@@ -63,7 +67,8 @@ class Collisions(eqx.Module):
         edges: the four ends of each pair of edges.
         edge_margin: likewise.
         reference: vertices of the membrane when the list was made.
-        skin: the list holds until a vertex has moved by half of it, in r0.
+        skin: the list holds until the farthest moves of two vertices exceed it
+            together, in r0.
         stale: whether one has.
     """
 
@@ -80,8 +85,8 @@ class Collisions(eqx.Module):
 
     def checked(self, vertices: Float[Array, "m 3"]) -> "Collisions":
         """The same list, knowing whether it still holds."""
-        shift = jnp.max(safe_norm(vertices - self.reference))
-        return eqx.tree_at(lambda c: c.stale, self, shift > self.skin / 2)
+        shift = farthest_two(vertices - self.reference)
+        return eqx.tree_at(lambda c: c.stale, self, shift > self.skin)
 
     def distances(
         self, membrane: Membrane
@@ -90,7 +95,7 @@ class Collisions(eqx.Module):
         points = jnp.concatenate([membrane.vertices, self.still])
         of_vertex = point_triangle_distance(points[self.vertex], points[self.corners])
         ends = points[self.edges]
-        of_edge = segment_distance(ends[:, :2], ends[:, 2:])
+        of_edge = segment_distance(*(split(ends[:, k]) for k in range(4)))
         return (
             jnp.where(self.vertex_margin > 0, of_vertex, jnp.inf),
             jnp.where(self.edge_margin > 0, of_edge, jnp.inf),

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxgrow.energy.a2 import A2, CUTOFF
-from jaxgrow.energy.distance import point_triangle_distance
+from jaxgrow.energy.distance import split, triangle_distance
 from jaxgrow.energy.smooth_minimum import smooth_minimum
 from jaxgrow.numerics import safe_norm, smallest_distance
 from jaxgrow.parameters import Parameters
@@ -35,6 +35,7 @@ class Contacts(eqx.Module):
     Attributes:
         particle: index of the particle of each pair, ascending.
         face: index of its triangle.
+        corners: vertices of that triangle.
         real: False for padding.
         reference: particle positions and vertices when the list was made.
         overflow: whether it was too small; then it must not be used.
@@ -42,9 +43,19 @@ class Contacts(eqx.Module):
 
     particle: Int[Array, " p"]
     face: Int[Array, " p"]
+    corners: Int[Array, "3 p"]
     real: Bool[Array, " p"]
     reference: tuple[Float[Array, "n 3"], Float[Array, "m 3"]]
     overflow: Bool[Array, ""]
+
+    def moved(
+        self, position: Float[Array, "n 3"], vertices: Float[Array, "m 3"]
+    ) -> Float[Array, ""]:
+        """Farthest moves of a particle and of a vertex since, together, in r0."""
+        particles, corners = self.reference
+        return jnp.max(safe_norm(position - particles)) + jnp.max(
+            safe_norm(vertices - corners)
+        )
 
 
 def reach(parameters: Parameters) -> Scalar:
@@ -66,7 +77,7 @@ def _candidates(
     return within & particles.alive[:, None] & membrane.face_alive[None, :]
 
 
-_CANDIDATES_PER_CONTACT = 3
+_SPHERES_PER_CONTACT = 3
 """Pairs by the spheres around triangles for each pair by exact distance, at most."""
 
 
@@ -85,23 +96,40 @@ def list_contacts(
     Spheres around the triangles leave candidates, exact distances decide.
     """
     within = _candidates(particles, membrane, radius)
-    size = _CANDIDATES_PER_CONTACT * capacity
+    size = _SPHERES_PER_CONTACT * capacity
     particle, face = jnp.nonzero(within, size=size, fill_value=0)
-    candidates = jnp.sum(within)
-    point = particles.position[particle]
-    corners = membrane.vertices[membrane.faces[face]]
-    near = point_triangle_distance(point, corners) < radius
-    near &= jnp.arange(size) < candidates
+    count = jnp.sum(within)
+    spheres = Contacts(
+        particle=particle,
+        face=face,
+        corners=membrane.faces.T[:, face],
+        real=jnp.arange(size) < count,
+        reference=(particles.position, membrane.vertices),
+        overflow=count > size,
+    )
+    return narrow_contacts(spheres, particles, membrane, radius, capacity)
+
+
+def narrow_contacts(
+    wide: Contacts,
+    particles: Particles,
+    membrane: Membrane,
+    radius: Scalar,
+    capacity: int,
+) -> Contacts:
+    """Those of a list that are closer than `radius` (in r0) now, in the same order."""
+    near = contact_distances(particles, membrane, wide) < radius
     (chosen,) = jnp.nonzero(near, size=capacity, fill_value=0)
     count = jnp.sum(near)
     real = jnp.arange(capacity) < count
     last = particles.position.shape[0] - 1
     return Contacts(
-        particle=jnp.where(real, particle[chosen], last),
-        face=face[chosen],
+        particle=jnp.where(real, wide.particle[chosen], last),
+        face=wide.face[chosen],
+        corners=wide.corners[:, chosen],
         real=real,
         reference=(particles.position, membrane.vertices),
-        overflow=(count > capacity) | (candidates > size),
+        overflow=(count > capacity) | wide.overflow,
     )
 
 
@@ -109,9 +137,10 @@ def contact_distances(
     particles: Particles, membrane: Membrane, contacts: Contacts
 ) -> Float[Array, " p"]:
     """Exact distance of every listed pair, in r0; infinite for padding."""
-    point = particles.position[contacts.particle]
-    corners = membrane.vertices[membrane.faces[contacts.face]]
-    distance = point_triangle_distance(point, corners)
+    position, vertices = split(particles.position), split(membrane.vertices)
+    point = tuple(column[contacts.particle] for column in position)
+    a, b, c = (tuple(column[at] for column in vertices) for at in contacts.corners)
+    distance = triangle_distance(point, a, b, c)
     return jnp.where(contacts.real, distance, jnp.inf)
 
 
@@ -197,7 +226,5 @@ def clearances(
     of_particle = jax.ops.segment_min(
         distance, contacts.particle, count, indices_are_sorted=True
     )
-    of_face = jax.ops.segment_min(distance, contacts.face, membrane.faces.shape[0])
-    of_face = jnp.where(membrane.face_alive, of_face, jnp.inf)
     of_vertex = jnp.full(membrane.vertices.shape[0], jnp.inf, distance.dtype)
-    return of_particle, of_vertex.at[membrane.faces].min(of_face[:, None])
+    return of_particle, of_vertex.at[contacts.corners].min(distance[None, :])

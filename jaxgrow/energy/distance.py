@@ -1,27 +1,45 @@
 """Exact distances, point to triangle and segment to segment, twice differentiable."""
 
+from collections.abc import Sequence
+from typing import TypeAlias
+
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
-
-from jaxgrow.numerics import safe_norm
+from jaxtyping import Array, Bool, Float, PyTree
 
 
-def _dot(a: Float[Array, "*p 3"], b: Float[Array, "*p 3"]) -> Float[Array, "*p"]:
-    return jnp.sum(a * b, axis=-1)
+Vector: TypeAlias = tuple[Float[Array, "*p"], ...]
+"""x, y and z of every vector: arithmetic on rows of three is several times slower."""
 
 
-def _along(
-    to_point: Float[Array, "*p 3"], side: Float[Array, "*p 3"]
-) -> Float[Array, "*p"]:
+def split(rows: Float[Array, "*p 3"]) -> Vector:
+    """The columns of an array of rows."""
+    return rows[..., 0], rows[..., 1], rows[..., 2]
+
+
+def _minus(a: Vector, b: Vector) -> Vector:
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+def _dot(a: Vector, b: Vector) -> Float[Array, "*p"]:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    return (
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    )
+
+
+def _along(to_point: Vector, side: Vector) -> Float[Array, "*p"]:
     """Share of the side at which it is closest to the point; 0 for length 0."""
     square = _dot(side, side)
     return jnp.clip(_dot(to_point, side) / jnp.where(square > 0, square, 1), 0, 1)
 
 
-def closest_weights(
-    point: Float[Array, "*p 3"], corners: Float[Array, "*p 3 3"]
-) -> Float[Array, "*p 3"]:
+def closest_weights(point: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
     """Barycentric weights of the point of the triangle closest to `point`.
 
     The nearest of four candidates: the closest point of each side, and the foot of the
@@ -29,19 +47,19 @@ def closest_weights(
     sides; a decision by Voronoi regions would take it for whatever the rounding of its
     area says, and overestimate the distance.
     """
-    a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
-    ab, bc, ac = b - a, c - b, c - a
-    ap = point - a
-    on_ab, on_bc, on_ac = _along(ap, ab), _along(point - b, bc), _along(ap, ac)
+    ab, bc, ac = _minus(b, a), _minus(c, b), _minus(c, a)
+    ap, bp = _minus(point, a), _minus(point, b)
+    on_ab, on_bc, on_ac = _along(ap, ab), _along(bp, bc), _along(ap, ac)
     zero = jnp.zeros_like(on_ab)
 
-    normal = jnp.cross(ab, ac)
+    normal = _cross(ab, ac)
     square = _dot(normal, normal)
     longest = jnp.maximum(_dot(ab, ab), jnp.maximum(_dot(bc, bc), _dot(ac, ac)))
     has_area = square > (64 * jnp.finfo(square.dtype).eps * longest) ** 2
     scale = 1 / jnp.where(has_area, square, 1)
-    of_b = _dot(jnp.cross(ap, ac), normal) * scale
-    of_c = _dot(jnp.cross(ab, ap), normal) * scale
+    of_b = _dot(_cross(ap, ac), normal) * scale
+    of_c = _dot(_cross(ab, ap), normal) * scale
+    of_b, of_c, on_ab, on_bc, on_ac = _once((of_b, of_c, on_ab, on_bc, on_ac))
     of_a = 1 - of_b - of_c
     inside = has_area & (of_a > 0) & (of_b > 0) & (of_c > 0)
 
@@ -51,30 +69,66 @@ def closest_weights(
         (True, (1 - on_ac, zero, on_ac)),
         (True, (1 - on_ab, on_ab, zero)),
     )
-    weights = jnp.zeros_like(corners[..., 0])
-    best = jnp.full_like(zero, jnp.inf)
-    for possible, parts in candidates:
-        weight = jnp.stack(parts, axis=-1)
-        gap = point - jnp.sum(weight[..., None] * corners, axis=-2)
-        distance = jnp.where(possible, _dot(gap, gap), jnp.inf)
-        nearer = distance < best
-        best = jnp.where(nearer, distance, best)
-        weights = jnp.where(nearer[..., None], weight, weights)
-    return weights
+    gaps = [_minus(point, _at(parts, a, b, c)) for _, parts in candidates]
+    return _nearest(candidates, gaps)
 
 
-def _offset(
-    point: Float[Array, "*p 3"], corners: Float[Array, "*p 3 3"]
-) -> tuple[Float[Array, "*p 3"], Float[Array, "*p 3"]]:
-    """Vector from the closest point of the triangle to `point`, and its weights."""
-    weights = closest_weights(point, corners)
-    closest = jnp.sum(weights[..., None] * corners, axis=-2)
-    return point - closest, weights
+def _nearest(
+    candidates: Sequence[tuple[Bool[Array, "*p"] | bool, Vector]],
+    gaps: Sequence[Vector],
+) -> Vector:
+    """The possible candidate with the shortest gap, the first of equals."""
+    best = jnp.full_like(gaps[0][0], jnp.inf)
+    which = jnp.full(best.shape, -1)
+    for number, ((possible, _), gap) in enumerate(zip(candidates, gaps, strict=True)):
+        square = jnp.where(possible, _dot(gap, gap), jnp.inf)
+        nearer = square < best
+        best = jnp.where(nearer, square, best)
+        which = jnp.where(nearer, number, which)
+    which = _once(which)
+    found = tuple(jnp.zeros_like(best) for _ in candidates[0][1])
+    for number, (_, parts) in enumerate(candidates):
+        chosen = which == number
+        found = tuple(
+            jnp.where(chosen, new, old) for new, old in zip(parts, found, strict=True)
+        )
+    return found
+
+
+def _once(values: PyTree) -> PyTree:
+    """The same values, computed once.
+
+    Left alone, the compiler computes them anew, and rounds them otherwise, for each of
+    several results; of a needle's weights that leaves three that do not belong
+    together.
+    """
+    return jax.lax.optimization_barrier(values)
+
+
+def _at(weights: Vector, *points: Vector) -> Vector:
+    """Weighted sum of points."""
+    total = tuple(weights[0] * x for x in points[0])
+    for weight, point in zip(weights[1:], points[1:], strict=True):
+        total = tuple(t + weight * x for t, x in zip(total, point, strict=True))
+    return total
+
+
+def _length(a: Vector) -> Float[Array, "*p"]:
+    """Euclidean length, with derivative 0 at the null vector."""
+    square = _dot(a, a)
+    some = square != 0
+    return jnp.where(some, jnp.sqrt(jnp.where(some, square, 1)), 0)
+
+
+def _unit(a: Vector, length: Float[Array, "*p"]) -> Vector:
+    """Direction of a vector of known length; 0 for length 0."""
+    scale = 1 / jnp.where(length > 0, length, 1)
+    return a[0] * scale, a[1] * scale, a[2] * scale
 
 
 @jax.custom_jvp
-def point_triangle_distance(
-    point: Float[Array, "*p 3"], corners: Float[Array, "*p 3 3"]
+def triangle_distance(
+    point: Vector, a: Vector, b: Vector, c: Vector
 ) -> Float[Array, "*p"]:
     """Exact distance of each point to its triangle.
 
@@ -83,33 +137,40 @@ def point_triangle_distance(
     the closest point: stopping the gradient there leaves forces right and Hessians
     wrong.
     """
-    return safe_norm(_offset(point, corners)[0])
+    return _length(_minus(point, _at(closest_weights(point, a, b, c), a, b, c)))
 
 
-@point_triangle_distance.defjvp
-def _distance_jvp(
-    primals: tuple[Array, Array], tangents: tuple[Array, Array]
+@triangle_distance.defjvp
+def _triangle_jvp(
+    primals: tuple[Vector, ...], tangents: tuple[Vector, ...]
 ) -> tuple[Array, Array]:
-    point, corners = primals
-    offset, weights = _offset(point, corners)
-    length = safe_norm(offset)
-    direction = offset / jnp.where(length > 0, length, 1)[..., None]
-    moved = tangents[0] - jnp.sum(weights[..., None] * tangents[1], axis=-2)
-    return length, jnp.sum(direction * moved, axis=-1)
+    point, *corners = primals
+    weights = closest_weights(point, *corners)
+    offset = _minus(point, _at(weights, *corners))
+    length = _length(offset)
+    moved = _minus(tangents[0], _at(weights, *tangents[1:]))
+    return length, _dot(_unit(offset, length), moved)
+
+
+def point_triangle_distance(
+    point: Float[Array, "*p 3"], corners: Float[Array, "*p 3 3"]
+) -> Float[Array, "*p"]:
+    """`triangle_distance` of rows."""
+    return triangle_distance(
+        split(point), *(split(corners[..., corner, :]) for corner in range(3))
+    )
 
 
 def closest_shares(
-    first: Float[Array, "*p 2 3"], second: Float[Array, "*p 2 3"]
+    a: Vector, b: Vector, c: Vector, d: Vector
 ) -> tuple[Float[Array, "*p"], Float[Array, "*p"]]:
-    """Where two segments are closest: shares s, t from 0 (start) to 1 (end) of each.
+    """Where the segments ab and cd are closest: shares s, t from 0 (a, c) to 1 (b, d).
 
     The nearest of five candidates: the feet of the common perpendicular, where both
     fall inside, and the closest point of each end on the other segment. Parallel
     segments have no such feet and are treated by their ends.
     """
-    a, b = first[..., 0, :], first[..., 1, :]
-    c, d = second[..., 0, :], second[..., 1, :]
-    one, other, gap = b - a, d - c, c - a
+    one, other, gap = _minus(b, a), _minus(d, c), _minus(c, a)
     square, along, square_other = _dot(one, one), _dot(one, other), _dot(other, other)
     determinant = square * square_other - along**2
     skew = determinant > 64 * jnp.finfo(along.dtype).eps * square * square_other
@@ -119,55 +180,45 @@ def closest_shares(
     t = (on_one * along - on_other * square) * scale
     inside = skew & (s > 0) & (s < 1) & (t > 0) & (t < 1)
     zero = jnp.zeros_like(s)
-    candidates = (
-        (inside, s, t),
-        (True, zero, _along(-gap, other)),
-        (True, zero + 1, _along(b - c, other)),
-        (True, _along(gap, one), zero),
-        (True, _along(d - a, one), zero + 1),
+    ends = (
+        _along(_minus(a, c), other),
+        _along(_minus(b, c), other),
+        _along(gap, one),
+        _along(_minus(d, a), one),
     )
-    best = jnp.full_like(zero, jnp.inf)
-    shares = zero, zero
-    for possible, s, t in candidates:
-        between = gap + t[..., None] * other - s[..., None] * one
-        distance = jnp.where(possible, _dot(between, between), jnp.inf)
-        nearer = distance < best
-        best = jnp.where(nearer, distance, best)
-        shares = jnp.where(nearer, s, shares[0]), jnp.where(nearer, t, shares[1])
-    return shares
+    s, t, a_on, b_on, c_on, d_on = _once((s, t, *ends))
+    candidates = (
+        (inside, (s, t)),
+        (True, (zero, a_on)),
+        (True, (zero + 1, b_on)),
+        (True, (c_on, zero)),
+        (True, (d_on, zero + 1)),
+    )
+    gaps = [_between(*shares, a, b, c, d) for _, shares in candidates]
+    s, t = _nearest(candidates, gaps)
+    return s, t
 
 
-def _between(
-    first: Float[Array, "*p 2 3"], second: Float[Array, "*p 2 3"]
-) -> tuple[Float[Array, "*p 3"], Float[Array, "*p"], Float[Array, "*p"]]:
-    """Vector from the closest point of the second segment to that of the first."""
-    s, t = closest_shares(first, second)
-    return _at(first, s) - _at(second, t), s, t
-
-
-def _at(segment: Float[Array, "*p 2 3"], share: Float[Array, "*p"]) -> Array:
-    """The point of a segment at a share of its length."""
-    share = share[..., None]
-    return (1 - share) * segment[..., 0, :] + share * segment[..., 1, :]
+def _between(s: Float[Array, "*p"], t: Float[Array, "*p"], *ends: Vector) -> Vector:
+    """Vector from the share t of the second segment to the share s of the first."""
+    a, b, c, d = ends
+    return _minus(_at((1 - s, s), a, b), _at((1 - t, t), c, d))
 
 
 @jax.custom_jvp
-def segment_distance(
-    first: Float[Array, "*p 2 3"], second: Float[Array, "*p 2 3"]
-) -> Float[Array, "*p"]:
-    """Exact distance of two segments each; its derivatives are as for a triangle.
+def segment_distance(a: Vector, b: Vector, c: Vector, d: Vector) -> Float[Array, "*p"]:
+    """Exact distance of the segments ab and cd; its derivatives are as for a triangle.
 
     It has a kink where the segments are parallel.
     """
-    return safe_norm(_between(first, second)[0])
+    return _length(_between(*closest_shares(a, b, c, d), a, b, c, d))
 
 
 @segment_distance.defjvp
 def _segment_jvp(
-    primals: tuple[Array, Array], tangents: tuple[Array, Array]
+    primals: tuple[Vector, ...], tangents: tuple[Vector, ...]
 ) -> tuple[Array, Array]:
-    offset, s, t = _between(*primals)
-    length = safe_norm(offset)
-    direction = offset / jnp.where(length > 0, length, 1)[..., None]
-    moved = _at(tangents[0], s) - _at(tangents[1], t)
-    return length, jnp.sum(direction * moved, axis=-1)
+    s, t = closest_shares(*primals)
+    offset = _between(s, t, *primals)
+    length = _length(offset)
+    return length, _dot(_unit(offset, length), _between(s, t, *tangents))

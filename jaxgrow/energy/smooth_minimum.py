@@ -56,11 +56,17 @@ def smooth_minimum(
     least = smallest_distance(u.dtype)
     unit = jax.lax.stop_gradient(jnp.clip(nearest, least, reach))
     unit_of_pair = unit[owner]
-    far = (unit / reach) ** half
+    far = _power(unit / reach, half)
     positive = jnp.maximum(u, least)
-    excess = (unit_of_pair / positive) ** half - far[owner]
+    excess = _power(unit_of_pair / positive, half) - far[owner]
     square = jnp.where(real, jnp.maximum(excess, 0) ** 2, 0)
     total = jax.ops.segment_sum(square, owner, count, indices_are_sorted=True)
     some = total > 0
     norm = jnp.where(some, jnp.sqrt(jnp.where(some, total, 1)), 0)
-    return jnp.where(some, unit * (norm + far) ** (-1 / half), reach)
+    inner = jnp.where(some, norm + far, 1)
+    return jnp.where(some, unit * _power(inner, -1 / half), reach)
+
+
+def _power(base: Float[Array, "*p"], exponent: Scalar) -> Float[Array, "*p"]:
+    """A positive base to a power: on a CPU several times faster than the operator."""
+    return jnp.exp(exponent * jnp.log(base))

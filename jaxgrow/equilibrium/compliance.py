@@ -126,4 +126,4 @@ def _lists(problem: Problem, lists: Lists | None) -> Lists:
             "a vertex has moved too far since the collisions were listed; relax the "
             "state, and pass the lists of that relaxation."
         )
-    return Lists(now.neighbors, now.contacts, collisions)
+    return now.with_collisions(collisions)

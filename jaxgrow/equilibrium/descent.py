@@ -1,4 +1,4 @@
-"""The compiled loop of a relaxation: propose, bound, move, list, evaluate, learn."""
+"""The compiled loop of a relaxation: evaluate, learn, propose, bound, move."""
 
 import itertools
 from typing import Protocol, runtime_checkable
@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PyTree
 
-from jaxgrow.equilibrium.problem import Lists, Problem
+from jaxgrow.equilibrium.problem import Lists, Outgrown, Problem
 from jaxgrow.numerics import safe_norm
 from jaxgrow.results import Result
 from jaxgrow.state import Nodes
@@ -44,12 +44,13 @@ class Descent(eqx.Module):
     """Where a descent stands.
 
     Attributes:
-        nodes: positions accepted last; the lists are valid for them.
+        nodes: positions accepted last.
         force: at these positions, on nodes that may not move too.
         lists: the current lists.
         memory: of the minimiser.
         residual: largest force on a free node, in F(0).
-        steps: number of steps made; `evaluations` of forces is one more.
+        steps: number of steps made; there is one evaluation of forces more.
+        rebuilds: how often lists were rebuilt on the way.
         code: of the `Result`; STEP_LIMIT while it runs.
     """
 
@@ -59,7 +60,31 @@ class Descent(eqx.Module):
     memory: PyTree
     residual: Float[Array, ""]
     steps: Int[Array, ""]
+    rebuilds: Int[Array, ""]
     code: Int[Array, ""]
+
+
+class _Now(eqx.Module):
+    """A `Descent` without its lists, and what it tries next.
+
+    Attributes:
+        nodes, force, memory, residual, steps, code: as there; no step is -1.
+        trial: positions to evaluate next.
+        step: the displacement to them, all 0 before the first step.
+        proposed: memory of the minimiser after it proposed that.
+        outgrown: whether the lists do not hold there.
+    """
+
+    nodes: Nodes
+    force: Nodes
+    memory: PyTree
+    residual: Float[Array, ""]
+    steps: Int[Array, ""]
+    code: Int[Array, ""]
+    trial: Nodes
+    step: Float[Array, "d 3"]
+    proposed: PyTree
+    outgrown: Outgrown
 
 
 def blank_memory(problem: Problem, minimiser: Minimiser) -> PyTree:
@@ -106,6 +131,10 @@ def descend(
     not finite, or a node has no clearance at all, and when the host has to list the
     collisions anew.
 
+    Two loops: the inner one steps with lists that do not change, until a step leads to
+    where they do not hold; the outer one rebuilds them. In a single loop the lists
+    would be carried, and copied, through every step.
+
     Args:
         problem: the energy, and the start.
         lists: valid for the start.
@@ -117,66 +146,92 @@ def descend(
     """
     free = _rows(problem.free())
 
-    def measure(force: Nodes, lists: Lists) -> tuple[Array, Array]:
-        residual = jnp.max(safe_norm(free * _rows(force)))
+    def judge(residual: Array, lists: Lists) -> Array:
         code = jnp.where(
-            lists.overflow,
-            Result.OVERFLOW.code,
-            jnp.where(
-                jnp.isfinite(residual),
-                jnp.where(
-                    residual <= tolerance,
-                    Result.CONVERGED.code,
-                    Result.STEP_LIMIT.code,
-                ),
-                Result.NON_FINITE.code,
-            ),
+            residual <= tolerance, Result.CONVERGED.code, Result.STEP_LIMIT.code
         )
-        return residual, code
+        code = jnp.where(jnp.isfinite(residual), code, Result.NON_FINITE.code)
+        return jnp.where(lists.overflow, Result.OVERFLOW.code, code)
 
-    def running(now: Descent) -> Array:
-        unfinished = (now.code == Result.STEP_LIMIT.code) & (now.steps < max_steps)
-        return unfinished & ~now.lists.stale
+    def unfinished(now: _Now) -> Array:
+        return (now.code == Result.STEP_LIMIT.code) & (now.steps < max_steps)
 
-    def move(now: Descent) -> Descent:
-        before = free * _rows(now.force)
-        step, memory = minimiser.propose(now.memory, before)
-        uphill = jnp.sum(step * before) <= 0
-        step = jnp.where(uphill, 0.05 * before, step)
-        limit = _rows(problem.bound(now.nodes, now.lists, largest))
-        stuck = jnp.any((limit == 0) & (free[:, 0] > 0))
-        step = _bounded(step, limit, largest)
-        nodes = jax.tree.map(jnp.add, now.nodes, _like(step, now.nodes))
-        lists = problem.update(nodes, now.lists)
-        force = problem.forces(nodes, lists)
-        residual, code = measure(force, lists)
-        code = jnp.where(stuck, Result.ON_MEMBRANE.code, code)
-        memory = minimiser.learn(memory, step, before, free * _rows(force))
+    def advance(lists: Lists, now: _Now) -> _Now:
+        """Evaluate the trial, accept it, learn from it, and propose the next."""
+        first = now.steps < 0
+        forces, bound = problem.forces_and_bound(now.trial, lists, largest)
+        before, force = free * _rows(now.force), free * _rows(forces)
+        residual = jnp.max(safe_norm(force))
+        code = judge(residual, lists)
         failed = (code == Result.OVERFLOW.code) | (code == Result.NON_FINITE.code)
 
-        def keep(new: PyTree, old: PyTree) -> PyTree:
-            return jax.tree.map(lambda a, b: jnp.where(failed, b, a), new, old)
+        def unless(wrong: Array, new: PyTree, old: PyTree) -> PyTree:
+            return jax.tree.map(lambda a, b: jnp.where(wrong, b, a), new, old)
 
-        return Descent(
-            keep(nodes, now.nodes),
-            keep(force, now.force),
-            lists,
+        memory = minimiser.learn(now.proposed, now.step, before, force)
+        memory = unless(first, memory, now.memory)
+        memory = unless(failed, memory, now.memory)
+        step, proposed = minimiser.propose(memory, force)
+        uphill = jnp.sum(step * force) <= 0
+        step = jnp.where(uphill, 0.05 * force, step)
+        limit = _rows(bound)
+        stuck = jnp.any((limit == 0) & (free[:, 0] > 0))
+        stuck &= code == Result.STEP_LIMIT.code
+        step = _bounded(step, limit, largest)
+        nodes = unless(failed, now.trial, now.nodes)
+        trial = jax.tree.map(jnp.add, nodes, _like(step, nodes))
+        return _Now(
+            nodes,
+            unless(failed & ~first, forces, now.force),
             memory,
-            jnp.where(failed, now.residual, residual),
+            jnp.where(failed & ~first, now.residual, residual),
             now.steps + 1,
-            code,
+            jnp.where(stuck, Result.ON_MEMBRANE.code, code),
+            trial,
+            step,
+            proposed,
+            problem.outgrown(trial, lists),
         )
 
+    def relist(at: tuple[_Now, Lists, Array]) -> tuple[_Now, Lists, Array]:
+        now, lists, rebuilds = at
+        rebuilds += now.outgrown.any().astype(int)
+        lists = problem.rebuilt(now.trial, lists, now.outgrown)
+        now = eqx.tree_at(lambda n: n.outgrown, now, Outgrown.nothing())
+        now = jax.lax.while_loop(
+            lambda now: unfinished(now) & ~now.outgrown.any(),
+            lambda now: advance(lists, now),
+            now,
+        )
+        return now, lists, rebuilds
+
     nodes = problem.nodes()
-    force = problem.forces(nodes, lists)
-    residual, code = measure(force, lists)
-    start = Descent(
+    nothing = jax.tree.map(jnp.zeros_like, nodes)
+    memory = minimiser.init(_rows(nothing)) if memory is None else memory
+    start = _Now(
         nodes,
-        force,
-        lists,
-        minimiser.init(free * _rows(force)) if memory is None else memory,
-        residual,
-        jnp.zeros((), int),
-        code,
+        nothing,
+        memory,
+        jnp.full((), jnp.inf, problem.dtype),
+        jnp.full((), -1),
+        jnp.asarray(Result.STEP_LIMIT.code),
+        nodes,
+        _rows(nothing),
+        memory,
+        Outgrown.nothing(),
     )
-    return jax.lax.while_loop(running, move, start)
+    now, lists, rebuilds = jax.lax.while_loop(
+        lambda at: unfinished(at[0]) & ~at[0].outgrown.collisions,
+        relist,
+        (start, lists, jnp.zeros((), int)),
+    )
+    return Descent(
+        now.nodes,
+        now.force,
+        lists.with_stale(unfinished(now) & now.outgrown.collisions),
+        now.memory,
+        now.residual,
+        now.steps,
+        rebuilds,
+        now.code,
+    )

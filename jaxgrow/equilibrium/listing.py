@@ -11,8 +11,14 @@ from jaxtyping import Array, Float
 from jaxgrow import neighbors as nb
 from jaxgrow.capacity import capacity_for
 from jaxgrow.energy.collision import Collisions
-from jaxgrow.energy.contact import Contacts, count_contacts, list_contacts, reach
-from jaxgrow.equilibrium.problem import CONTACT_SKIN, Lists, Problem
+from jaxgrow.energy.contact import (
+    Contacts,
+    count_contacts,
+    list_contacts,
+    narrow_contacts,
+    reach,
+)
+from jaxgrow.equilibrium.problem import CANDIDATE_SKIN, CONTACT_SKIN, Lists, Problem
 from jaxgrow.state import Membrane, Particles
 
 
@@ -20,6 +26,9 @@ CollisionLister: TypeAlias = Callable[
     [Float[Array, "m 3"], Collisions | None], Collisions
 ]
 """Lists on the host what may collide, given the vertices and the list before."""
+
+_LEAST_CONTACTS = 1024
+_LEAST_CANDIDATES = 4096
 
 _count_contacts = eqx.filter_jit(count_contacts)
 
@@ -32,29 +41,66 @@ def _list_contacts(
 
 
 @eqx.filter_jit
+def _narrow_contacts(
+    wide: Contacts,
+    particles: Particles,
+    membrane: Membrane,
+    radius: Array,
+    *,
+    capacity: int,
+) -> Contacts:
+    return narrow_contacts(wide, particles, membrane, radius, capacity)
+
+
+@eqx.filter_jit
 def _refresh(problem: Problem, lists: Lists) -> Lists:
     return problem.update(problem.nodes(), lists)
 
 
 def allocate_lists(problem: Problem, before: Lists | None = None) -> Lists:
     """Lists with room for the current state, and not smaller than before."""
-    neighbors = contacts = None
+    neighbors = contacts = candidates = None
+    if before is None:
+        before = Lists(None, None)
     if problem.particles is not None:
-        known = None if before is None else before.neighbors
-        occupancy = 0 if known is None else known.max_occupancy
-        neighbors = nb.allocate(problem.particles.position, occupancy)
+        neighbors = nb.allocate(problem.particles.position, before.neighbors)
     if problem.particles is not None and problem.membrane is not None:
-        known = None if before is None else before.contacts
-        radius = jnp.asarray(reach(problem.parameters) + CONTACT_SKIN)
-        candidates = _count_contacts(problem.particles, problem.membrane, radius)
-        least = 2048 if known is None else known.particle.shape[0]
-        capacity = capacity_for(int(candidates) // 2, least)
-        while contacts is None or bool(contacts.overflow):
-            contacts = _list_contacts(
-                problem.particles, problem.membrane, radius, capacity=capacity
-            )
-            capacity = capacity_for(capacity + 1, least)
-    return Lists(neighbors, contacts, None if before is None else before.collisions)
+        both = problem.both()
+        radius = jnp.asarray(reach(problem.parameters))
+        wide = radius + CANDIDATE_SKIN
+        spheres = int(_count_contacts(*both, wide))
+        candidates = _fitting(
+            lambda room: _list_contacts(*both, wide, capacity=room),
+            spheres // 3,
+            before.candidates,
+            _LEAST_CANDIDATES,
+        )
+        contacts = _fitting(
+            lambda room: _narrow_contacts(
+                candidates, *both, radius + CONTACT_SKIN, capacity=room
+            ),
+            0,
+            before.contacts,
+            _LEAST_CONTACTS,
+        )
+    return Lists(neighbors, contacts, candidates, before.collisions)
+
+
+def _fitting(
+    make: Callable[[int], Contacts], size: int, before: Contacts | None, least: int
+) -> Contacts:
+    """A list with room for `size`, or as much more as it needs.
+
+    Where the one before was too small, for positions that were given up since, it has
+    more room than that in any case.
+    """
+    if before is not None:
+        least = before.particle.shape[0]
+        size = max(size, least + int(before.overflow))
+    capacity = capacity_for(size, least)
+    while bool((made := make(capacity)).overflow):
+        capacity = capacity_for(capacity + 1, least)
+    return made
 
 
 def fits(problem: Problem, lists: Lists) -> bool:
@@ -62,7 +108,7 @@ def fits(problem: Problem, lists: Lists) -> bool:
     if lists.neighbors is not None:
         if problem.particles is None:
             return False
-        if lists.neighbors.idx.shape[0] != problem.particles.position.shape[0]:
+        if lists.neighbors.listed.shape[1] != problem.particles.position.shape[0]:
             return False
     if lists.contacts is not None:
         if problem.membrane is None or problem.particles is None:
@@ -75,18 +121,23 @@ def fits(problem: Problem, lists: Lists) -> bool:
 
 def prepared(problem: Problem, lists: Lists, collide: CollisionLister | None) -> Lists:
     """Lists that are valid for where the problem is now."""
-    now = _refresh(problem, Lists(lists.neighbors, lists.contacts))
+    now = _refresh(problem, lists.with_collisions(None))
     if bool(now.overflow):
         now = allocate_lists(problem, now)
     if collide is None or problem.membrane is None:
         return now
     found = collide(problem.membrane.vertices, lists.collisions)
-    return Lists(now.neighbors, now.contacts, found)
+    return now.with_collisions(found)
 
 
 def stale(lists: Lists) -> Lists:
     """Lists that the next update rebuilds, because faces or species changed."""
-    if lists.contacts is None:
+    if lists.contacts is None or lists.candidates is None:
         return lists
-    moved = jax.tree.map(lambda x: x + 1e6, lists.contacts.reference)
-    return eqx.tree_at(lambda a: a.contacts.reference, lists, moved)
+
+    def never(known: Contacts) -> Contacts:
+        moved = jax.tree.map(lambda x: x + 1e6, known.reference)
+        return eqx.tree_at(lambda c: c.reference, known, moved)
+
+    both = never(lists.contacts), never(lists.candidates)
+    return eqx.tree_at(lambda a: (a.contacts, a.candidates), lists, both)

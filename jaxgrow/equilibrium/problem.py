@@ -17,25 +17,37 @@ from jaxgrow.energy.contact import (
     contact_energy,
     Contacts,
     list_contacts,
+    narrow_contacts,
     reach,
 )
 from jaxgrow.energy.pair import pair_energy, pair_force
 from jaxgrow.energy.springs import spring_energy
-from jaxgrow.numerics import safe_norm
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Membrane, Nodes, Particles
 from jaxgrow.types import Scalar
 
 
-CONTACT_SKIN = 0.3
-"""Extra radius of the contact list: it holds until a node has moved by half of it."""
+CONTACT_SKIN = 0.15
+"""Extra radius of the contact list, in r0: it holds until the farthest moves of a
+particle and of a vertex exceed it together."""
+
+CANDIDATE_SKIN = 0.9
+"""Extra radius of the list that the contact list is found in."""
 
 
 class Lists(eqx.Module):
-    """The lists of a problem, each only where it has the term."""
+    """The lists of a problem, each only where it has the term.
 
-    neighbors: nb.NeighborList | None
+    Attributes:
+        neighbors: of particles.
+        contacts: pairs of a particle and a triangle that the energy is computed from.
+        candidates: more of them, in which those are found again.
+        collisions: of the membrane.
+    """
+
+    neighbors: nb.Neighbors | None
     contacts: Contacts | None
+    candidates: Contacts | None = None
     collisions: Collisions | None = None
 
     @property
@@ -43,9 +55,11 @@ class Lists(eqx.Module):
         """Whether a list did not fit."""
         full = jnp.zeros((), bool)
         if self.neighbors is not None:
-            full |= nb.overflowed(self.neighbors)
+            full |= self.neighbors.overflow
         if self.contacts is not None:
             full |= self.contacts.overflow
+        if self.candidates is not None:
+            full |= self.candidates.overflow
         return full
 
     @property
@@ -54,6 +68,34 @@ class Lists(eqx.Module):
         if self.collisions is None:
             return jnp.zeros((), bool)
         return self.collisions.stale
+
+    def with_collisions(self, collisions: Collisions | None) -> "Lists":
+        """The same lists with others of the collisions."""
+        return Lists(self.neighbors, self.contacts, self.candidates, collisions)
+
+    def with_stale(self, stale: Bool[Array, ""]) -> "Lists":
+        """The same lists; whether the host must list the collisions anew."""
+        if self.collisions is None:
+            return self
+        return eqx.tree_at(lambda lists: lists.collisions.stale, self, stale)
+
+
+class Outgrown(eqx.Module):
+    """Which lists do not hold where the nodes are."""
+
+    neighbors: Bool[Array, ""]
+    contacts: Bool[Array, ""]
+    collisions: Bool[Array, ""]
+
+    @classmethod
+    def nothing(cls) -> "Outgrown":
+        """All of them hold."""
+        no = jnp.zeros((), bool)
+        return cls(no, no, no)
+
+    def any(self) -> Bool[Array, ""]:
+        """Whether one does not."""
+        return self.neighbors | self.contacts | self.collisions
 
 
 class Problem(eqx.Module):
@@ -149,9 +191,7 @@ class Problem(eqx.Module):
         if lists.neighbors is not None:
             moved = self.at(nodes)
             assert moved.particles is not None
-            pair = pair_force(
-                moved.particles, nb.listed(lists.neighbors), self.parameters
-            )
+            pair = pair_force(moved.particles, lists.neighbors.listed, self.parameters)
             total = eqx.tree_at(lambda n: n.particles, total, total.particles + pair)
         return total
 
@@ -184,38 +224,84 @@ class Problem(eqx.Module):
             )
         return limit
 
-    def update(self, nodes: Nodes, lists: Lists) -> Lists:
-        """The lists for new positions, rebuilt where something moved too far."""
-        neighbors, contacts = lists.neighbors, lists.contacts
+    def forces_and_bound(
+        self, nodes: Nodes, lists: Lists, largest: Scalar
+    ) -> tuple[Nodes, Nodes]:
+        """Both at once: the distances to the membrane are then computed once."""
+        return self.forces(nodes, lists), self.bound(nodes, lists, largest)
+
+    def outgrown(self, nodes: Nodes, lists: Lists) -> Outgrown:
+        """Which lists do not hold at these positions: something moved too far."""
+        outgrown = Outgrown.nothing()
+        if lists.neighbors is not None:
+            assert nodes.particles is not None
+            moved = nb.outgrown(lists.neighbors, nodes.particles)
+            outgrown = eqx.tree_at(lambda o: o.neighbors, outgrown, moved)
+        if lists.contacts is not None:
+            assert nodes.particles is not None
+            assert nodes.vertices is not None
+            moved = lists.contacts.moved(nodes.particles, nodes.vertices)
+            outgrown = eqx.tree_at(lambda o: o.contacts, outgrown, moved > CONTACT_SKIN)
+        if lists.collisions is not None:
+            assert nodes.vertices is not None
+            moved = lists.collisions.checked(nodes.vertices).stale
+            outgrown = eqx.tree_at(lambda o: o.collisions, outgrown, moved)
+        return outgrown
+
+    def rebuilt(self, nodes: Nodes, lists: Lists, outgrown: Outgrown) -> Lists:
+        """The lists for these positions, those that do not hold there rebuilt.
+
+        Collisions are listed by the host; that they must be is noted.
+        """
+        neighbors = lists.neighbors
         if neighbors is not None:
             assert nodes.particles is not None
-            neighbors = nb.update(neighbors, nodes.particles)
-        if contacts is not None:
-            particles, membrane = self.at(nodes).both()
-            before = contacts.reference
-            shift = jnp.maximum(
-                jnp.max(safe_norm(particles.position - before[0])),
-                jnp.max(safe_norm(membrane.vertices - before[1])),
+            neighbors = nb.rebuilt(neighbors, nodes.particles, outgrown.neighbors)
+        contacts, candidates = lists.contacts, lists.candidates
+        if contacts is not None and candidates is not None:
+            contacts, candidates = jax.lax.cond(
+                outgrown.contacts,
+                lambda *old: self.at(nodes).contacts(*old),
+                lambda *old: old,
+                contacts,
+                candidates,
             )
-            radius = reach(self.parameters) + CONTACT_SKIN
-            capacity = contacts.particle.shape[0]
-            contacts = jax.lax.cond(
-                shift > CONTACT_SKIN / 2,
-                lambda: list_contacts(particles, membrane, radius, capacity),
-                lambda: contacts,
-            )
-        collisions = lists.collisions
-        if collisions is not None:
-            assert nodes.vertices is not None
-            collisions = collisions.checked(nodes.vertices)
-        return Lists(neighbors, contacts, collisions)
+        lists = Lists(neighbors, contacts, candidates, lists.collisions)
+        return lists.with_stale(outgrown.collisions)
+
+    def contacts(
+        self, contacts: Contacts, candidates: Contacts
+    ) -> tuple[Contacts, Contacts]:
+        """Both lists for where the nodes are, in arrays of the given sizes."""
+        particles, membrane = self.both()
+        whole = reach(self.parameters)
+        moved = candidates.moved(particles.position, membrane.vertices)
+        room = candidates.particle.shape[0]
+        candidates = jax.lax.cond(
+            moved > CANDIDATE_SKIN - CONTACT_SKIN,
+            lambda: list_contacts(particles, membrane, whole + CANDIDATE_SKIN, room),
+            lambda: candidates,
+        )
+        near = narrow_contacts(
+            candidates,
+            particles,
+            membrane,
+            whole + CONTACT_SKIN,
+            contacts.particle.shape[0],
+        )
+        return near, candidates
+
+    def update(self, nodes: Nodes, lists: Lists) -> Lists:
+        """The lists for new positions, rebuilt where something moved too far."""
+        return self.rebuilt(nodes, lists, self.outgrown(nodes, lists))
 
     def _total(self, lists: Lists, *, pairs: bool) -> Float[Array, ""]:
         total = jnp.zeros((), self.dtype)
         if pairs and lists.neighbors is not None:
             assert self.particles is not None
-            listed = nb.listed(lists.neighbors)
-            total += pair_energy(self.particles, listed, self.parameters)
+            total += pair_energy(
+                self.particles, lists.neighbors.listed, self.parameters
+            )
         if self.membrane is not None:
             total += spring_energy(self.membrane, self.parameters)
             if lists.contacts is not None:

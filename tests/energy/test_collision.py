@@ -13,7 +13,7 @@ from jaxgrow.energy.collision import (
     Collisions,
     PARALLEL,
 )
-from jaxgrow.energy.distance import segment_distance
+from jaxgrow.energy.distance import segment_distance, split
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Membrane
 
@@ -216,7 +216,8 @@ def test_segment_distance_is_that_of_a_search():
     second[:5, 1] = second[:5, 0] + 0.7 * (first[:5, 1] - first[:5, 0])  # parallel
     second[5:8, 1] = second[5:8, 0]  # a point
     wanted = [segment_oracle(a, b) for a, b in zip(first, second, strict=True)]
-    found = segment_distance(jnp.asarray(first), jnp.asarray(second))
+    ends = [split(jnp.asarray(x[:, end])) for x in (first, second) for end in (0, 1)]
+    found = segment_distance(*ends)
     np.testing.assert_allclose(found, wanted, rtol=1e-7)
 
 
@@ -241,8 +242,11 @@ def test_clearance_is_the_smallest_distance_of_what_a_vertex_belongs_to():
     np.testing.assert_allclose(collision_clearances(membrane, listed), 0.2)
 
 
-def test_list_is_stale_once_a_vertex_has_moved_by_half_of_its_skin(tangle):
+def test_list_is_stale_once_two_vertices_have_moved_by_its_skin_together(tangle):
     membrane, listed = tangle
-    for shift, stale in ((0.19, False), (0.21, True)):
-        moved = membrane.vertices.at[4, 1].add(shift)
-        assert bool(listed.checked(moved).stale) is stale
+    skin = float(listed.skin)
+    for share, stale in ((0.99, False), (1.01, True)):
+        for first in (1.0, 0.6, 0.5):
+            moved = membrane.vertices.at[4, 1].add(first * share * skin)
+            moved = moved.at[2, 0].add((1 - first) * share * skin)
+            assert bool(listed.checked(moved).stale) is stale

@@ -15,6 +15,7 @@ from jaxgrow.energy.contact import (
     Contacts,
     count_contacts,
     list_contacts,
+    narrow_contacts,
     reach,
     smooth_distance,
 )
@@ -39,7 +40,8 @@ def _both(points, corners, real, sharpness):
         distance = jnp.where(real, point_triangle_distance(spread, corners), jnp.inf)
         zeros = jnp.zeros(FACES, int)
         none = (jnp.zeros((1, 3)), jnp.zeros((1, 3)))
-        contacts = Contacts(zeros, zeros, real, none, jnp.asarray(False))
+        corners_of = jnp.zeros((3, FACES), int)
+        contacts = Contacts(zeros, zeros, corners_of, real, none, jnp.asarray(False))
         return smooth_distance(distance, contacts, 1, parameters)[0], distance.min()
 
     return jax.vmap(one)(points)
@@ -281,6 +283,29 @@ def test_list_whose_candidates_do_not_fit_says_so(crowd):
     candidates = int(count_contacts(particles, membrane, radius))
     assert candidates > 3 * wanted
     assert make_list(particles, membrane, radius, wanted).overflow
+
+
+def test_narrow_list_of_moved_nodes_is_that_made_from_scratch(crowd):
+    particles, membrane = crowd
+    wide = make_list(*crowd, jnp.asarray(1.6), 1024)
+    rng = np.random.default_rng(0)
+    position = particles.position + rng.uniform(-0.05, 0.05, particles.position.shape)
+    vertices = membrane.vertices + rng.uniform(-0.05, 0.05, membrane.vertices.shape)
+    moved = (
+        eqx.tree_at(lambda p: p.position, particles, position),
+        eqx.tree_at(lambda m: m.vertices, membrane, vertices),
+    )
+    assert 0.05 < float(wide.moved(position, vertices)) < 0.2
+    radius = jnp.asarray(1.4)
+    found = eqx.filter_jit(narrow_contacts)(wide, *moved, radius, 512)
+    wanted = make_list(*moved, radius, 512)
+    for name in ("particle", "face", "corners", "real"):
+        part = np.asarray(getattr(found, name))[..., np.asarray(found.real)]
+        whole = np.asarray(getattr(wanted, name))[..., np.asarray(wanted.real)]
+        np.testing.assert_array_equal(part, whole)
+    assert len(whole) > 100
+    assert not found.overflow
+    assert eqx.filter_jit(narrow_contacts)(wide, *moved, radius, 64).overflow
 
 
 def test_longer_list_changes_nothing(crowd):

@@ -5,12 +5,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrow.energy.distance import closest_weights, point_triangle_distance
+from jaxgrow.energy.distance import closest_weights, point_triangle_distance, split
 from jaxgrow.mesh.proximity import closest_on_triangles
 
 
 distances = jax.jit(point_triangle_distance)
-weights = jax.jit(closest_weights)
+
+
+@jax.jit
+def weights(point, corners):
+    parts = (split(corners[..., corner, :]) for corner in range(3))
+    return jnp.stack(closest_weights(split(point), *parts), axis=-1)
+
+
 PAIRS = 4000
 
 

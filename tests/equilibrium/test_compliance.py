@@ -157,7 +157,7 @@ def test_collisions_that_were_listed_elsewhere_are_refused(make_membrane):
     membrane = make_membrane()
     names = np.full(49, -1)
     collide = CollisionFinder.of(membrane, names, None, Parameters())
-    lists = Lists(None, None, collide(membrane.vertices, None))
+    lists = Lists(None, None, collisions=collide(membrane.vertices, None))
     moved = eqx.tree_at(lambda m: m.vertices, membrane, membrane.vertices + 1.0)
     forces = no_force(None, membrane)
     with pytest.raises(ValueError, match="moved too far since the collisions were"):

@@ -68,7 +68,7 @@ def sources(all_equations):
     }
 
 
-OF_A_MEMBRANE = {256, 512, 768, 2048}
+OF_A_MEMBRANE = {256, 512, 768, 1024, 4096}
 """Capacities of its vertices, faces, edges and contacts; particles have 64."""
 
 
