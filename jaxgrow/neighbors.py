@@ -33,7 +33,7 @@ SKIN = 0.2
 """Extra radius of the near list, in r0: it holds until the farthest moves of two
 particles exceed it together."""
 
-_WIDE_SKIN = 0.9
+WIDE_SKIN = 0.9
 _WIDE_SKIN_OF_MANY = 0.5
 """Extra radius of the wide list of few and of many particles: jax-md stores all pairs
 of adjacent cells when it makes one, which of many particles should not be too many."""
@@ -88,8 +88,9 @@ _SHIFT = 512.0
 """Added to every coordinate, in r0: jax-md truncates a coordinate to its cell towards
 zero, so the cells around 0 would be two cells wide and hold eight times as much."""
 
-_cell_lists: dict[int, Any] = {}
-"""The cell hash of each size class, made once: a new one compiles everything anew."""
+_cell_lists: dict[tuple[int, float], Any] = {}
+"""The cell hash of each number of cells and skin, made once: a new one compiles
+everything anew, and one of another skin has cells of another size."""
 
 
 @functools.cache
@@ -115,7 +116,7 @@ def _functions(cells: int, skin: float) -> Any:
 
 
 def _skin(count: int) -> float:
-    return _WIDE_SKIN if count <= _FEW else _WIDE_SKIN_OF_MANY
+    return WIDE_SKIN if count <= _FEW else _WIDE_SKIN_OF_MANY
 
 
 def allocate(
@@ -129,8 +130,9 @@ def allocate(
     """
     count = position.shape[0]
     cells = 12 if count <= _FEW else 2 * math.ceil((count / 1.2) ** (1 / 3) / 3)
+    kind = cells, _skin(count)
     with _permissive():
-        wide = _functions(cells, _skin(count)).allocate(position + _SHIFT)
+        wide = _functions(*kind).allocate(position + _SHIFT)
     wanted, cell = wide.max_occupancy, wide.cell_list_capacity
     least_wide, least_in_cell, least = _LEAST_WIDE, _LEAST_IN_CELL, _LEAST_OCCUPANCY
     if before is not None:
@@ -148,7 +150,7 @@ def allocate(
         idx=jnp.pad(wide.idx, ((0, 0), (0, extra)), constant_values=count),
         max_occupancy=room,
         cell_list_capacity=capacity_for(cell, least_in_cell),
-        cell_list_fn=_cell_lists.setdefault(cells, wide.cell_list_fn),
+        cell_list_fn=_cell_lists.setdefault(kind, wide.cell_list_fn),
     )
     most = int(_compiled_near(position, wide.idx, least)[1])
     most = max(_OCCUPANCY_STEP * -(-most // _OCCUPANCY_STEP), least)

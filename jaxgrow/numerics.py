@@ -25,7 +25,11 @@ def safe_norm(vector: Float[Array, "*shape 3"]) -> Float[Array, "*shape"]:
     same position, a spring of length 0, a particle on the membrane. A vector that is
     not finite keeps a length that is not.
     """
-    square = jnp.sum(vector**2, axis=-1)
+    return safe_root(jnp.sum(vector**2, axis=-1))
+
+
+def safe_root(square: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """Square root, with derivative 0 at 0: a length from the square of a length."""
     some = square != 0
     return jnp.where(some, jnp.sqrt(jnp.where(some, square, 1)), 0)
 

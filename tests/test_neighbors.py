@@ -72,7 +72,7 @@ def test_positions_far_outside_of_the_hash_lose_no_pair(offset):
 
 def test_particles_one_box_apart_are_no_neighbours():
     position = np.asarray(parked(COUNT)) * 1.0
-    position[:2] = [[0, 0, 0], [12 * (CUTOFF + 0.9) * 1.0001, 0, 0]]
+    position[:2] = [[0, 0, 0], [12 * (CUTOFF + nb.WIDE_SKIN) * 1.0001, 0, 0]]
     assert pairs_of(nb.allocate(jnp.asarray(position)), position) == []
 
 
@@ -150,6 +150,7 @@ def test_list_that_is_made_anew_does_not_come_back_smaller():
     dense, sparse = roomy(box(7)), nb.allocate(jnp.asarray(lattice()))
     again = nb.allocate(jnp.asarray(lattice()), dense)
     assert sparse.listed.shape[0] < dense.listed.shape[0]
+    assert sparse.listed.shape[0] % 8 == 0
     assert again.listed.shape == dense.listed.shape
     assert again.wide.idx.shape == dense.wide.idx.shape
 
@@ -161,6 +162,20 @@ def test_list_that_was_too_small_is_made_anew_larger_where_it_would_fit():
     assert not again.overflow
     rooms = [(a.listed.size, a.wide.idx.size) for a in (full, again)]
     assert sum(rooms[1]) > sum(rooms[0])
+
+
+@pytest.mark.parametrize("offset", np.linspace(0, 2.4, 9))
+def test_list_of_few_is_complete_after_one_of_many(offset):
+    # 4200 particles have as many cells as a few have, but smaller ones
+    nb.allocate(jnp.asarray(np.asarray(parked(4200)) * 1.0))
+    position = np.asarray(parked(COUNT)) * 1.0
+    neighbors = nb.allocate(jnp.asarray(position))
+    apart = CUTOFF + 0.98 * nb.WIDE_SKIN
+    position[:2] = [[offset, 0, 0], [offset + apart, 0, 0]]
+    neighbors = update(neighbors, jnp.asarray(position))  # by cells
+    position[1, 0] = offset + CUTOFF - 0.01  # not farther than the wide list allows
+    neighbors = update(neighbors, jnp.asarray(position))
+    assert pairs_of(neighbors, position) == [(0, 1), (1, 0)]
 
 
 def test_lists_of_the_same_capacity_share_a_compiled_program():

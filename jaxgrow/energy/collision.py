@@ -37,7 +37,7 @@ from jaxgrow.energy.contact import barrier
 from jaxgrow.energy.distance import (
     point_triangle_distance,
     segment_distance,
-    split,
+    split_corners,
 )
 from jaxgrow.energy.smooth_minimum import smooth_minimum
 from jaxgrow.numerics import farthest_two
@@ -94,8 +94,7 @@ class Collisions(eqx.Module):
         """Exact distance of all pairs in r0; infinite for padding."""
         points = jnp.concatenate([membrane.vertices, self.still])
         of_vertex = point_triangle_distance(points[self.vertex], points[self.corners])
-        ends = points[self.edges]
-        of_edge = segment_distance(*(split(ends[:, k]) for k in range(4)))
+        of_edge = segment_distance(*split_corners(points[self.edges]))
         return (
             jnp.where(self.vertex_margin > 0, of_vertex, jnp.inf),
             jnp.where(self.edge_margin > 0, of_edge, jnp.inf),

@@ -77,7 +77,7 @@ def _candidates(
     return within & particles.alive[:, None] & membrane.face_alive[None, :]
 
 
-_SPHERES_PER_CONTACT = 3
+SPHERES_PER_CONTACT = 3
 """Pairs by the spheres around triangles for each pair by exact distance, at most."""
 
 
@@ -96,7 +96,7 @@ def list_contacts(
     Spheres around the triangles leave candidates, exact distances decide.
     """
     within = _candidates(particles, membrane, radius)
-    size = _SPHERES_PER_CONTACT * capacity
+    size = SPHERES_PER_CONTACT * capacity
     particle, face = jnp.nonzero(within, size=size, fill_value=0)
     count = jnp.sum(within)
     spheres = Contacts(

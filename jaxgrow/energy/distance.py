@@ -1,31 +1,34 @@
 """Exact distances, point to triangle and segment to segment, twice differentiable."""
 
 from collections.abc import Sequence
-from typing import TypeAlias
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
 
+from jaxgrow.numerics import safe_root
+from jaxgrow.types import Columns
 
-Vector: TypeAlias = tuple[Float[Array, "*p"], ...]
-"""x, y and z of every vector: arithmetic on rows of three is several times slower."""
 
-
-def split(rows: Float[Array, "*p 3"]) -> Vector:
+def split(rows: Float[Array, "*p 3"]) -> Columns:
     """The columns of an array of rows."""
     return rows[..., 0], rows[..., 1], rows[..., 2]
 
 
-def _minus(a: Vector, b: Vector) -> Vector:
+def split_corners(shapes: Float[Array, "*p k 3"]) -> tuple[Columns, ...]:
+    """The columns of each corner of triangles, or of each end of pairs of segments."""
+    return tuple(split(shapes[..., k, :]) for k in range(shapes.shape[-2]))
+
+
+def _minus(a: Columns, b: Columns) -> Columns:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-def _dot(a: Vector, b: Vector) -> Float[Array, "*p"]:
+def _dot(a: Columns, b: Columns) -> Float[Array, "*p"]:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _cross(a: Vector, b: Vector) -> Vector:
+def _cross(a: Columns, b: Columns) -> Columns:
     return (
         a[1] * b[2] - a[2] * b[1],
         a[2] * b[0] - a[0] * b[2],
@@ -33,13 +36,13 @@ def _cross(a: Vector, b: Vector) -> Vector:
     )
 
 
-def _along(to_point: Vector, side: Vector) -> Float[Array, "*p"]:
+def _along(to_point: Columns, side: Columns) -> Float[Array, "*p"]:
     """Share of the side at which it is closest to the point; 0 for length 0."""
     square = _dot(side, side)
     return jnp.clip(_dot(to_point, side) / jnp.where(square > 0, square, 1), 0, 1)
 
 
-def closest_weights(point: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
+def closest_weights(point: Columns, a: Columns, b: Columns, c: Columns) -> Columns:
     """Barycentric weights of the point of the triangle closest to `point`.
 
     The nearest of four candidates: the closest point of each side, and the foot of the
@@ -74,9 +77,9 @@ def closest_weights(point: Vector, a: Vector, b: Vector, c: Vector) -> Vector:
 
 
 def _nearest(
-    candidates: Sequence[tuple[Bool[Array, "*p"] | bool, Vector]],
-    gaps: Sequence[Vector],
-) -> Vector:
+    candidates: Sequence[tuple[Bool[Array, "*p"] | bool, Columns]],
+    gaps: Sequence[Columns],
+) -> Columns:
     """The possible candidate with the shortest gap, the first of equals."""
     best = jnp.full_like(gaps[0][0], jnp.inf)
     which = jnp.full(best.shape, -1)
@@ -105,7 +108,7 @@ def _once(values: PyTree) -> PyTree:
     return jax.lax.optimization_barrier(values)
 
 
-def _at(weights: Vector, *points: Vector) -> Vector:
+def _at(weights: Columns, *points: Columns) -> Columns:
     """Weighted sum of points."""
     total = tuple(weights[0] * x for x in points[0])
     for weight, point in zip(weights[1:], points[1:], strict=True):
@@ -113,14 +116,11 @@ def _at(weights: Vector, *points: Vector) -> Vector:
     return total
 
 
-def _length(a: Vector) -> Float[Array, "*p"]:
-    """Euclidean length, with derivative 0 at the null vector."""
-    square = _dot(a, a)
-    some = square != 0
-    return jnp.where(some, jnp.sqrt(jnp.where(some, square, 1)), 0)
+def _length(a: Columns) -> Float[Array, "*p"]:
+    return safe_root(_dot(a, a))
 
 
-def _unit(a: Vector, length: Float[Array, "*p"]) -> Vector:
+def _unit(a: Columns, length: Float[Array, "*p"]) -> Columns:
     """Direction of a vector of known length; 0 for length 0."""
     scale = 1 / jnp.where(length > 0, length, 1)
     return a[0] * scale, a[1] * scale, a[2] * scale
@@ -128,7 +128,7 @@ def _unit(a: Vector, length: Float[Array, "*p"]) -> Vector:
 
 @jax.custom_jvp
 def triangle_distance(
-    point: Vector, a: Vector, b: Vector, c: Vector
+    point: Columns, a: Columns, b: Columns, c: Columns
 ) -> Float[Array, "*p"]:
     """Exact distance of each point to its triangle.
 
@@ -142,7 +142,7 @@ def triangle_distance(
 
 @triangle_distance.defjvp
 def _triangle_jvp(
-    primals: tuple[Vector, ...], tangents: tuple[Vector, ...]
+    primals: tuple[Columns, ...], tangents: tuple[Columns, ...]
 ) -> tuple[Array, Array]:
     point, *corners = primals
     weights = closest_weights(point, *corners)
@@ -156,13 +156,11 @@ def point_triangle_distance(
     point: Float[Array, "*p 3"], corners: Float[Array, "*p 3 3"]
 ) -> Float[Array, "*p"]:
     """`triangle_distance` of rows."""
-    return triangle_distance(
-        split(point), *(split(corners[..., corner, :]) for corner in range(3))
-    )
+    return triangle_distance(split(point), *split_corners(corners))
 
 
 def closest_shares(
-    a: Vector, b: Vector, c: Vector, d: Vector
+    a: Columns, b: Columns, c: Columns, d: Columns
 ) -> tuple[Float[Array, "*p"], Float[Array, "*p"]]:
     """Where the segments ab and cd are closest: shares s, t from 0 (a, c) to 1 (b, d).
 
@@ -199,14 +197,16 @@ def closest_shares(
     return s, t
 
 
-def _between(s: Float[Array, "*p"], t: Float[Array, "*p"], *ends: Vector) -> Vector:
-    """Vector from the share t of the second segment to the share s of the first."""
+def _between(s: Float[Array, "*p"], t: Float[Array, "*p"], *ends: Columns) -> Columns:
+    """Columns from the share t of the second segment to the share s of the first."""
     a, b, c, d = ends
     return _minus(_at((1 - s, s), a, b), _at((1 - t, t), c, d))
 
 
 @jax.custom_jvp
-def segment_distance(a: Vector, b: Vector, c: Vector, d: Vector) -> Float[Array, "*p"]:
+def segment_distance(
+    a: Columns, b: Columns, c: Columns, d: Columns
+) -> Float[Array, "*p"]:
     """Exact distance of the segments ab and cd; its derivatives are as for a triangle.
 
     It has a kink where the segments are parallel.
@@ -216,7 +216,7 @@ def segment_distance(a: Vector, b: Vector, c: Vector, d: Vector) -> Float[Array,
 
 @segment_distance.defjvp
 def _segment_jvp(
-    primals: tuple[Vector, ...], tangents: tuple[Vector, ...]
+    primals: tuple[Columns, ...], tangents: tuple[Columns, ...]
 ) -> tuple[Array, Array]:
     s, t = closest_shares(*primals)
     offset = _between(s, t, *primals)

@@ -169,8 +169,7 @@ def descend(
             return jax.tree.map(lambda a, b: jnp.where(wrong, b, a), new, old)
 
         memory = minimiser.learn(now.proposed, now.step, before, force)
-        memory = unless(first, memory, now.memory)
-        memory = unless(failed, memory, now.memory)
+        memory = unless(first | failed, memory, now.memory)
         step, proposed = minimiser.propose(memory, force)
         uphill = jnp.sum(step * force) <= 0
         step = jnp.where(uphill, 0.05 * force, step)

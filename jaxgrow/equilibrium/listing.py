@@ -17,6 +17,7 @@ from jaxgrow.energy.contact import (
     list_contacts,
     narrow_contacts,
     reach,
+    SPHERES_PER_CONTACT,
 )
 from jaxgrow.equilibrium.problem import CANDIDATE_SKIN, CONTACT_SKIN, Lists, Problem
 from jaxgrow.state import Membrane, Particles
@@ -71,7 +72,7 @@ def allocate_lists(problem: Problem, before: Lists | None = None) -> Lists:
         spheres = int(_count_contacts(*both, wide))
         candidates = _fitting(
             lambda room: _list_contacts(*both, wide, capacity=room),
-            spheres // 3,
+            spheres // SPHERES_PER_CONTACT,
             before.candidates,
             _LEAST_CANDIDATES,
         )

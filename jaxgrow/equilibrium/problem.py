@@ -227,7 +227,7 @@ class Problem(eqx.Module):
     def forces_and_bound(
         self, nodes: Nodes, lists: Lists, largest: Scalar
     ) -> tuple[Nodes, Nodes]:
-        """Both at once: the distances to the membrane are then computed once."""
+        """Both, of the same trial: the compiler may share the distances."""
         return self.forces(nodes, lists), self.bound(nodes, lists, largest)
 
     def outgrown(self, nodes: Nodes, lists: Lists) -> Outgrown:

@@ -42,12 +42,14 @@ class RelaxationStats(NamedTuple):
         residual: largest force on a free node, in F(0).
         steps: steps made, over all methods and retries; of Newton's method the Hessian
             products.
+        rebuilds: how often descents rebuilt their lists on the way.
         overflows: how often a list was too small and was allocated anew.
         method: the method that ended it.
     """
 
     residual: float
     steps: int
+    rebuilds: int
     overflows: int
     method: str
 
@@ -179,7 +181,7 @@ def relax(
         tolerance = min(tolerance, exact_tolerance(given.dtype))
     if lists is None or not fits(problem, lists):
         lists = allocate_lists(problem)
-    stats = RelaxationStats(math.inf, 0, 0, method)
+    stats = RelaxationStats(math.inf, 0, 0, 0, method)
     result, forces, near = Result.STEP_LIMIT, problem.nodes(), False
     for stage in _stages(method, tolerance, problem.parameters):
         if stage.polishes and not near:
@@ -192,6 +194,7 @@ def relax(
         stats = RelaxationStats(
             found.residual,
             stats.steps + found.steps,
+            stats.rebuilds + found.rebuilds,
             stats.overflows + found.overflows,
             stage.name,
         )
@@ -239,6 +242,7 @@ class _Found(NamedTuple):
     result: Result
     residual: float
     steps: int
+    rebuilds: int
     overflows: int
 
 
@@ -280,7 +284,7 @@ def _run(
 
     Every list that overflows is allocated anew and larger.
     """
-    steps = overflows = 0
+    steps = rebuilds = overflows = 0
     memory = None
     if minimiser is not None and (collide is not None or observe is not None):
         memory = _blank_memory(problem, minimiser)
@@ -297,6 +301,7 @@ def _run(
                 problem, lists, minimiser, tolerance, jnp.asarray(most), largest, memory
             )
             made, memory = int(outcome.steps), outcome.memory
+            rebuilds += int(outcome.rebuilds)
         steps += made
         problem, lists = problem.at(outcome.nodes), outcome.lists
         if observe is not None and made:
@@ -310,5 +315,12 @@ def _run(
         elif not (result is Result.STEP_LIMIT and steps < limits.max_steps and paused):
             residual = float(outcome.residual)
             return _Found(
-                outcome.nodes, outcome.force, lists, result, residual, steps, overflows
+                outcome.nodes,
+                outcome.force,
+                lists,
+                result,
+                residual,
+                steps,
+                rebuilds,
+                overflows,
             )

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxgrow.energy.distance import closest_weights, split
+from jaxgrow.energy.distance import closest_weights, split, split_corners
 from jaxgrow.numerics import safe_norm
 from jaxgrow.state import FormerSurface
 
@@ -52,8 +52,9 @@ def height_above(
         batch_size=64,
     )
     triangle = corners[nearest]
-    corners = (split(triangle[:, corner]) for corner in range(3))
-    weights = jnp.stack(closest_weights(split(points), *corners), axis=1)
+    weights = jnp.stack(
+        closest_weights(split(points), *split_corners(triangle)), axis=1
+    )
     offset = points - jnp.sum(weights[..., None] * triangle, axis=1)
     normal = jnp.cross(triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0])
     size = safe_norm(normal)

@@ -5,7 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrow.energy.distance import closest_weights, point_triangle_distance, split
+from jaxgrow.energy.distance import (
+    closest_weights,
+    point_triangle_distance,
+    split,
+    split_corners,
+)
 from jaxgrow.mesh.proximity import closest_on_triangles
 
 
@@ -14,8 +19,8 @@ distances = jax.jit(point_triangle_distance)
 
 @jax.jit
 def weights(point, corners):
-    parts = (split(corners[..., corner, :]) for corner in range(3))
-    return jnp.stack(closest_weights(split(point), *parts), axis=-1)
+    weights = closest_weights(split(point), *split_corners(corners))
+    return jnp.stack(weights, axis=-1)
 
 
 PAIRS = 4000

@@ -317,7 +317,14 @@ def test_neighbour_list_that_overflows_is_made_anew(make_particles):
     assert outcome.lists.neighbors.listed.shape > small.neighbors.listed.shape
     # the order of the list rounds otherwise, and nothing holds the cluster's turn
     found, known = (pdist(r.state[0].position[:60]) for r in (outcome, wanted))
-    np.testing.assert_allclose(found, known, atol=1e-6)
+    np.testing.assert_allclose(found, known, atol=1e-7)
+
+
+def test_lists_are_rebuilt_only_when_something_moved_too_far(make_particles):
+    particles = make_particles([[0, 0, 0], [0.95, 0, 0]])  # goes to 1.0
+    assert relax(particles).stats.rebuilds == 0
+    particles = make_particles([[0, 0, 0], [0.4, 0, 0]])  # by 0.6, three skins
+    assert 2 <= relax(particles, method="fire").stats.rebuilds <= 3
 
 
 def test_list_that_overflows_on_the_way_is_rolled_back(make_particles):
