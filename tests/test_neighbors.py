@@ -164,13 +164,13 @@ def test_list_that_was_too_small_is_made_anew_larger_where_it_would_fit():
     assert sum(rooms[1]) > sum(rooms[0])
 
 
-@pytest.mark.parametrize("offset", np.linspace(0, 2.4, 9))
+@pytest.mark.parametrize("offset", np.linspace(0, 2.4, 21))
 def test_list_of_few_is_complete_after_one_of_many(offset):
     # 4200 particles have as many cells as a few have, but smaller ones
     nb.allocate(jnp.asarray(np.asarray(parked(4200)) * 1.0))
     position = np.asarray(parked(COUNT)) * 1.0
     neighbors = nb.allocate(jnp.asarray(position))
-    apart = CUTOFF + 0.98 * nb.WIDE_SKIN
+    apart = CUTOFF + nb.WIDE_SKIN - nb.SKIN - 0.02
     position[:2] = [[offset, 0, 0], [offset + apart, 0, 0]]
     neighbors = update(neighbors, jnp.asarray(position))  # by cells
     position[1, 0] = offset + CUTOFF - 0.01  # not farther than the wide list allows
