@@ -1,8 +1,10 @@
-"""Counting the programs that XLA compiles, or loads from the cache on disk."""
+"""The programs that XLA compiles or loads: counted, and forgotten in time."""
 
+import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 import jax
 
@@ -32,3 +34,30 @@ def count_compilations() -> Iterator[Compilations]:
         yield seen
     finally:
         jax.monitoring.unregister_event_duration_listener(listen)
+
+
+_MAPPED = Path("/proc/self/maps")
+_MOST_MAPPED = Path("/proc/sys/vm/max_map_count")
+
+
+def forget_compiled(share: float = 0.5) -> bool:
+    """Drop compiled programs if they use up what Linux lets a process map.
+
+    Each program maps some ten regions of memory, and at the limit (usually 65 530)
+    XLA aborts the process or lets it crash: some hundred growths of different scenes
+    come there. What is needed again is compiled again, or loaded from the cache.
+
+    Args:
+        share: of the limit that must be exceeded.
+
+    Returns:
+        Whether they were dropped. Never, where there are no such files.
+    """
+    if not (_MAPPED.exists() and _MOST_MAPPED.exists()):
+        return False
+    mapped = _MAPPED.read_bytes().count(b"\n")
+    if mapped <= share * int(_MOST_MAPPED.read_text()):
+        return False
+    jax.clear_caches()
+    gc.collect()
+    return True

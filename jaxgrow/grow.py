@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxgrow.clock import Clock
-from jaxgrow.compilations import count_compilations
+from jaxgrow.compilations import count_compilations, forget_compiled
 from jaxgrow.equilibrium.implicit import is_differentiated
 from jaxgrow.equilibrium.relax import exact_tolerance
 from jaxgrow.events import Event, Events, Start
@@ -110,6 +110,8 @@ def grow(
     if max_seconds is not None and not max_seconds > 0:
         raise ValueError(f"max_seconds is {max_seconds}; it must be positive.")
     parameters = parameters or scene.parameters
+    if not is_differentiated(parameters):
+        forget_compiled()
     clock = Clock()
     with count_compilations() as compilations:
         if events is None:

@@ -1,6 +1,5 @@
 """What every test runs under: 64 bits, strict promotion, compiled programs on disk."""
 
-import gc
 import os
 from importlib.metadata import version
 from pathlib import Path
@@ -32,20 +31,13 @@ settings.register_profile("thorough", deadline=None, max_examples=500)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 
-MAPPINGS = Path("/proc/self/maps")
-"""Mapped regions of memory, a line each: Linux allows a process 65 530."""
-
-
-@pytest.fixture(scope="module", autouse=True)
+@pytest.fixture(autouse=True)
 def few_programs():
-    """Forget compiled programs when there are many: each maps some regions of memory.
+    """Forget compiled programs before they are too many for a process."""
+    from jaxgrow.compilations import forget_compiled
 
-    At the limit XLA aborts the process. Programs are on disk, so it costs little.
-    """
     yield
-    if MAPPINGS.exists() and MAPPINGS.read_bytes().count(b"\n") > 20_000:
-        jax.clear_caches()
-        gc.collect()
+    forget_compiled(0.4)
 
 
 @pytest.fixture

@@ -1,9 +1,16 @@
 """Compiled programs are counted."""
 
+import sys
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
+import pytest
 
-from jaxgrow.compilations import count_compilations
+from jaxgrow import compilations
+from jaxgrow.compilations import count_compilations, forget_compiled
+from jaxgrow.grow import grow
+from jaxgrow.scene import Myoma, Scene
 
 
 def test_first_call_compiles_once_and_the_second_does_not():
@@ -32,3 +39,38 @@ def test_nothing_is_counted_after_the_block():
         pass
     jax.jit(lambda x: x * 7)(x)
     assert seen.count == 0
+
+
+def mapped_by(program):
+    """How many regions are mapped more after a program has been compiled and run."""
+    maps = Path("/proc/self/maps")
+    before = maps.read_text().count("\n")
+    program(jnp.arange(9.0))
+    return maps.read_text().count("\n") - before
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="there is no such limit")
+def test_programs_are_forgotten_when_they_map_too_much(monkeypatch, tmp_path):
+    program = jax.jit(lambda x: jnp.sort(x)[::-1] * 11)
+    assert mapped_by(program) > 0
+    assert mapped_by(program) == 0
+    limit = tmp_path / "max_map_count"
+    monkeypatch.setattr(compilations, "_MOST_MAPPED", limit)
+    limit.write_text("100000000\n")
+    assert not forget_compiled()
+    limit.write_text("10\n")
+    assert forget_compiled()
+    assert mapped_by(program) > 0
+
+
+def test_nothing_is_forgotten_where_no_limit_is_known(monkeypatch, tmp_path):
+    monkeypatch.setattr(compilations, "_MOST_MAPPED", tmp_path / "none")
+    assert not forget_compiled(0.0)
+
+
+def test_growth_forgets_first(monkeypatch):
+    asked = []
+    module = sys.modules["jaxgrow.grow"]
+    monkeypatch.setattr(module, "forget_compiled", lambda: asked.append(1))
+    grow(Scene(organ=None, lesion=Myoma(divisions=1)))
+    assert asked == [1]
