@@ -105,7 +105,31 @@ def test_host_modules_work_without_jax():
     _python(code)
 
 
-def test_importing_all_but_neighbors_does_not_import_jax_md():
+def test_lists_load_two_modules_of_jax_md_and_leave_the_package_to_others():
+    # the whole package takes seconds to import
+    code = (
+        "import sys, numpy as np, jax; jax.config.update('jax_enable_x64', True); "
+        "import jaxgrow.neighbors as nb; nb.allocate(jax.numpy.zeros((64, 3)) + "
+        "3.0 * np.arange(64)[:, None]); "
+        "print(*sorted(m for m in sys.modules if m.startswith('jax_md'))); "
+        "listing = sys.modules['jax_md.partition']; import jax_md; "
+        "print(jax_md.partition is listing, hasattr(jax_md, 'simulate'))"
+    )
+    loaded, whole = _python(code).splitlines()[-2:]
+    modules = ("dataclasses", "partition", "space", "util")
+    assert loaded.split() == [f"jax_md.{name}" for name in modules]
+    assert whole.split() == ["True", "True"]
+
+
+def test_lists_use_jax_md_as_it_is_if_it_is_there_already():
+    code = (
+        "import jax_md, jaxgrow.cells as c; "
+        "print(c._partition() is jax_md.partition)"
+    )
+    assert _python(code).split()[-1] == "True"
+
+
+def test_importing_all_but_cells_does_not_import_jax_md():
     code = (
         "import sys, jaxgrow as jg; [getattr(jg, name) for name in jg.__all__]; "
         "print('jax_md' in sys.modules)"

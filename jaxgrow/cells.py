@@ -1,0 +1,184 @@
+"""Wide neighbour lists by jax-md's cells: the only module that imports jax-md.
+
+`make` runs on the host and decides capacities; `relist` runs in compiled code. Both
+leave the list itself, and the search for it, to jax-md.
+"""
+
+import contextlib
+import dataclasses
+import functools
+import importlib.util
+import math
+import sys
+import warnings
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.spatial import KDTree
+
+from jaxgrow.capacity import capacity_for
+
+
+_SHIFT = 512.0
+"""Added to every coordinate, in r0: jax-md truncates a coordinate to its cell towards
+zero, so the cells around 0 would be two cells wide and hold eight times as much."""
+
+_HEADROOM = 1.25
+_LEAST_WIDE = 48
+_LEAST_IN_CELL = 16
+
+
+class Hash(NamedTuple):
+    """A periodic hash of space.
+
+    Space is free and distances are exact; only the hash of the cells is periodic,
+    which adds candidates and loses none.
+
+    Attributes:
+        cells: number of them along each axis.
+        radius: up to which pairs are listed, in r0; no cell is smaller.
+    """
+
+    cells: int
+    radius: float
+
+    @property
+    def size(self) -> float:
+        """Of a cell, in r0: a little more than the radius."""
+        return 1.0001 * self.radius
+
+    @classmethod
+    def of(cls, count: int, radius: float) -> "Hash":
+        """One that suits this many particles."""
+        return cls(max(12, 2 * math.ceil((count / 1.2) ** (1 / 3) / 3)), radius)
+
+
+@contextlib.contextmanager
+def _permissive() -> Iterator[None]:
+    """Let jax-md mix dtypes and ranks, which our tests forbid to our own code."""
+    with (
+        jax.numpy_dtype_promotion("standard"),
+        jax.numpy_rank_promotion("allow"),
+        warnings.catch_warnings(),
+    ):
+        # jax-md 0.2.29 writes int64 counts into int32 buffers under x64; both are
+        # below 2**31. To be removed when jax-md casts them.
+        warnings.filterwarnings("ignore", "scatter inputs have incompatible types")
+        yield
+
+
+@functools.cache
+def _partition() -> Any:
+    """`jax_md.partition`, without the rest of jax-md.
+
+    The package imports all of its modules, and these neural networks and sympy, and
+    compile a hundred programs: five seconds for every process. So the two modules that
+    lists need are imported from a package that is not initialised. It is forgotten
+    then, so that ``import jax_md`` initialises it later as ever; the two modules are
+    the same ones.
+    """
+    if "jax_md" in sys.modules:
+        from jax_md import partition
+
+        return partition
+    spec = importlib.util.find_spec("jax_md")
+    if spec is None:
+        raise ImportError("jaxgrow needs jax-md; install it with: pip install jax-md")
+    sys.modules["jax_md"] = importlib.util.module_from_spec(spec)
+    try:
+        from jax_md import partition
+    finally:
+        del sys.modules["jax_md"]
+    return partition
+
+
+@functools.cache
+def _functions(of: Hash) -> tuple[Any, Any]:
+    """jax-md's update of a list, and its cell list.
+
+    New ones would make every compiled function that takes a list compile again, so
+    there is one pair per hash.
+    """
+    with _permissive():
+        partition = _partition()
+        space = sys.modules["jax_md.space"]
+        displacement, _ = space.free()
+        box = of.size * of.cells
+        update = partition.neighbor_list(
+            displacement,
+            box=box,
+            r_cutoff=of.radius,
+            dr_threshold=0.0,
+            format=partition.NeighborListFormat.Dense,
+        ).update
+        return update, partition.cell_list(box, of.radius, _HEADROOM)
+
+
+def make(position: Float[Array, "n 3"], of: Hash, before: Any = None) -> Any:
+    """An empty list, to be filled by `relist`, that has room for these positions.
+
+    Args:
+        position: in r0, of all slots.
+        of: the hash and the radius.
+        before: a list that is to be replaced; room is no less. Where it was too small,
+            for positions that were given up since, there is more.
+
+    Returns:
+        A `jax_md.partition.NeighborList`.
+    """
+    points = np.asarray(position)
+    cell = np.trunc((points + _SHIFT) / of.size) % of.cells
+    _, in_cell = np.unique(cell, axis=0, return_counts=True)
+    wanted = math.ceil(_HEADROOM * most_neighbors(position, of.radius))
+    wanted_in_cell = math.ceil(_HEADROOM * in_cell.max(initial=1))
+    least, least_in_cell = _LEAST_WIDE, _LEAST_IN_CELL
+    if before is not None:
+        failed = bool(before.error.code != 0)
+        least, least_in_cell = before.max_occupancy, before.cell_list_capacity
+        wanted = max(wanted, least + failed)
+        wanted_in_cell = max(wanted_in_cell, least_in_cell + failed)
+    room = capacity_for(wanted, least)
+    partition = _partition()
+    update, cell_list = _functions(of)
+    return partition.NeighborList(
+        idx=jnp.asarray(np.full((len(points), room), len(points), np.int32)),
+        reference_position=jnp.asarray(points + _NEVER),
+        error=partition.PartitionError(jnp.asarray(np.uint8(0))),
+        cell_list_capacity=capacity_for(wanted_in_cell, least_in_cell),
+        max_occupancy=room,
+        format=partition.NeighborListFormat.Dense,
+        cell_size=of.radius,
+        cell_list_fn=cell_list,
+        update_fn=update,
+    )
+
+
+_NEVER = 1e6
+"""A move, in r0, after which no list holds."""
+
+
+def most_neighbors(position: Float[Array, "n 3"], radius: float) -> int:
+    """How many neighbours a point has within a radius, at most."""
+    points = np.asarray(position)
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points) == 0:
+        return 0
+    tree = KDTree(points)
+    return int(tree.query_ball_point(points, radius, return_length=True).max()) - 1
+
+
+def relist(wide: Any, position: Float[Array, "n 3"]) -> Any:
+    """The list for these positions; its error is set if they do not fit."""
+    far = wide.reference_position + _NEVER  # so that it is made anew surely
+    unknown = dataclasses.replace(wide, reference_position=far)
+    with _permissive():
+        return unknown.update(position + _SHIFT)
+
+
+def moved(wide: Any, position: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    """How far every point has gone since the list was made, in r0."""
+    return position + _SHIFT - wide.reference_position
