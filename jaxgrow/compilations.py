@@ -43,9 +43,10 @@ _MOST_MAPPED = Path("/proc/sys/vm/max_map_count")
 def forget_compiled(share: float = 0.5) -> bool:
     """Drop compiled programs if they use up what Linux lets a process map.
 
-    Each program maps some ten regions of memory, and at the limit (usually 65 530)
-    XLA aborts the process or lets it crash: some hundred growths of different scenes
-    come there. What is needed again is compiled again, or loaded from the cache.
+    A program maps three regions of memory for each of its loops, a relaxation a
+    thousand. At the limit (usually 65 530) XLA aborts, or crashes later, when an
+    exception is unwound. What is needed again is compiled again, or loaded from the
+    cache on disk; derivatives that are being taken go on.
 
     Args:
         share: of the limit that must be exceeded.
@@ -61,3 +62,13 @@ def forget_compiled(share: float = 0.5) -> bool:
     jax.clear_caches()
     gc.collect()
     return True
+
+
+_OFTEN = 16
+"""Divisions from one look to the next, which takes some milliseconds."""
+
+
+def forget_now_and_then(divisions: int) -> None:
+    """`forget_compiled` before the first division, and before some later ones."""
+    if divisions % _OFTEN == 0:
+        forget_compiled()

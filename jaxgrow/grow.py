@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxgrow.clock import Clock
-from jaxgrow.compilations import count_compilations, forget_compiled
+from jaxgrow.compilations import count_compilations, forget_now_and_then
 from jaxgrow.equilibrium.implicit import is_differentiated
 from jaxgrow.equilibrium.relax import exact_tolerance
 from jaxgrow.events import Event, Events, Start
@@ -110,8 +110,6 @@ def grow(
     if max_seconds is not None and not max_seconds > 0:
         raise ValueError(f"max_seconds is {max_seconds}; it must be positive.")
     parameters = parameters or scene.parameters
-    if not is_differentiated(parameters):
-        forget_compiled()
     clock = Clock()
     with count_compilations() as compilations:
         if events is None:
@@ -178,6 +176,7 @@ def _grow(
     history: list[dict[str, Any]] = []
     size = size_of(scene, step.state) * scene.r0_mm
     while result is Result.CONVERGED:
+        forget_now_and_then(len(events))
         result = end_of(scene, size, len(events), history, limits.divisions)
         if result is not Result.CONVERGED:
             break

@@ -6,6 +6,7 @@ from typing import Any
 import jax
 
 from jaxgrow.clock import Clock
+from jaxgrow.compilations import forget_now_and_then
 from jaxgrow.equilibrium.implicit import is_differentiated
 from jaxgrow.equilibrium.relax import exact_tolerance
 from jaxgrow.events import Events
@@ -87,6 +88,7 @@ def replay(
             return step, history, settled.result
         step = settled.step
     for number, event in enumerate(events, 1):
+        forget_now_and_then(number - 1)
         settled = repeat(step, event, parameters, tolerance, clock)
         with clock.phase("measure"):
             size = size_of(scene, settled.step.state) * scene.r0_mm

@@ -1,16 +1,23 @@
 """Compiled programs are counted."""
 
+import gc
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 from jaxgrow import compilations
 from jaxgrow.compilations import count_compilations, forget_compiled
 from jaxgrow.grow import grow
+from jaxgrow.parameters import Parameters
 from jaxgrow.scene import Myoma, Scene
+
+
+CLUSTER = Scene(organ=None, lesion=Myoma(divisions=3))
 
 
 def test_first_call_compiles_once_and_the_second_does_not():
@@ -68,9 +75,29 @@ def test_nothing_is_forgotten_where_no_limit_is_known(monkeypatch, tmp_path):
     assert not forget_compiled(0.0)
 
 
-def test_growth_forgets_first(monkeypatch):
+def test_growth_and_replay_look_before_they_begin(monkeypatch):
     asked = []
-    module = sys.modules["jaxgrow.grow"]
-    monkeypatch.setattr(module, "forget_compiled", lambda: asked.append(1))
-    grow(Scene(organ=None, lesion=Myoma(divisions=1)))
+    monkeypatch.setattr(compilations, "forget_compiled", lambda: asked.append(1))
+    growth = grow(CLUSTER)
     assert asked == [1]
+    grow(CLUSTER, events=growth.events)
+    assert asked == [1, 1]
+
+
+def test_what_is_forgotten_on_the_way_changes_nothing(monkeypatch):
+    def height(adhesion):
+        varied = replace(parameters, adhesion=adhesion)
+        state = grow(CLUSTER, parameters=varied, events=growth.events).state
+        return jnp.max(state.particles.position[:4])
+
+    parameters = Parameters()
+    growth = grow(CLUSTER, tolerance=1e-10)
+    known = jax.value_and_grad(height)(jnp.asarray(0.2))
+    monkeypatch.setattr(compilations, "_OFTEN", 1)
+    monkeypatch.setattr(
+        compilations, "forget_compiled", lambda: (jax.clear_caches(), gc.collect())
+    )
+    np.testing.assert_array_equal(jax.value_and_grad(height)(jnp.asarray(0.2)), known)
+    again = grow(CLUSTER, tolerance=1e-10)
+    positions = (g.state.particles.position for g in (growth, again))
+    np.testing.assert_array_equal(*positions)

@@ -123,8 +123,7 @@ def test_lists_load_two_modules_of_jax_md_and_leave_the_package_to_others():
 
 def test_lists_use_jax_md_as_it_is_if_it_is_there_already():
     code = (
-        "import jax_md, jaxgrow.cells as c; "
-        "print(c._partition() is jax_md.partition)"
+        "import jax_md, jaxgrow.cells as c; print(c._partition() is jax_md.partition)"
     )
     assert _python(code).split()[-1] == "True"
 

@@ -110,7 +110,14 @@ def polish(
             scale, _, halvings = tried
             return scale / 2, attempt(scale / 2), halvings + 1
 
-        begin = scale, attempt(scale), jnp.zeros((), int)
+        # before the first attempt, so that it is compiled once
+        nowhere = (
+            best.nodes,
+            best.lists,
+            best.force,
+            jnp.full_like(best.residual, jnp.inf),
+        )
+        begin = 2 * scale, nowhere, jnp.full((), -1)
         _, (nodes, moved, force, residual), _ = jax.lax.while_loop(worse, halve, begin)
         better = (residual < best.residual) & ~moved.overflow
         code = jnp.where(residual <= tolerance, Result.CONVERGED.code, best.code)

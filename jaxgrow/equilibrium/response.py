@@ -130,10 +130,7 @@ def linearise(problem: Problem, lists: Lists) -> Linearised:
         return jax.tree.map(jnp.multiply, touching, vector)
 
     def project(vector: Nodes) -> Nodes:
-        vector = feel(vector)
-        for mode in rigid:
-            vector = _plus(vector, -dot(mode, vector), mode)
-        return vector
+        return _without(rigid, feel(vector))
 
     return Linearised(masked(force), product, feel, project, count, uneven)
 
@@ -144,9 +141,7 @@ def _uneven(rows: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
     return jnp.sin(1.0 + index.astype(rows.dtype) ** 2)
 
 
-def _null_modes(
-    problem: Problem, felt: Nodes
-) -> tuple[Nodes, list[Nodes], Int[Array, ""]]:
+def _null_modes(problem: Problem, felt: Nodes) -> tuple[Nodes, Nodes, Int[Array, ""]]:
     """Rows that feel others (1, else 0), rigid modes (orthonormal), and their number.
 
     A row of H that gives exactly 0 for a vector without zeros is a particle that
@@ -174,32 +169,42 @@ def _null_modes(
         for t, x in zip(jax.tree.leaves(touching), jax.tree.leaves(nodes), strict=True)
     )
     centre = centre / jnp.maximum(rows(touching), 1)
-    axes = jnp.eye(3, dtype=centre.dtype)
+    axes = jnp.eye(3, dtype=centre.dtype)[:, None, :]
 
-    def shift(axis: Float[Array, "3"]) -> Nodes:
-        return jax.tree.map(lambda t: t * axis[None, :], touching)
+    def motions(t: Float[Array, "n 3"], x: Float[Array, "n 3"]) -> Array:
+        shifts = jnp.broadcast_to(axes, (3, *x.shape))
+        turns = jnp.cross(axes, (x - centre[None, :])[None])
+        return t[None] * jnp.concatenate([shifts, turns])
 
-    def turn(axis: Float[Array, "3"]) -> Nodes:
-        def moved(t: Array, x: Array) -> Array:
-            return t * jnp.cross(axis[None, :], x - centre[None, :])
-
-        return jax.tree.map(moved, touching, nodes)
-
-    modes = [(shift(e), loose) for e in axes]
-    modes += [(turn(e), loose & unloaded) for e in axes]
+    modes = jax.tree.map(motions, touching, nodes)
+    able = loose & jnp.array([True] * 3 + [False] * 3) | loose & unloaded
     rounding = jnp.sqrt(jnp.finfo(centre.dtype).eps)
-    rigid: list[Nodes] = []
-    for mode, able in modes:
+
+    def add(number: Array, found: tuple[Nodes, Array]) -> tuple[Nodes, Array]:
+        """Make a mode orthonormal to those before (the rest of them is still 0)."""
+        known, count = found
+        mode = jax.tree.map(lambda m: m[number], modes)
         size = jnp.sqrt(dot(mode, mode))
-        for _ in range(2):  # twice is enough (Gram and Schmidt)
-            for known in rigid:
-                mode = _plus(mode, -dot(known, mode), known)
+        mode = _without(known, _without(known, mode))  # twice is enough
         length = jnp.sqrt(dot(mode, mode))
-        there = able & (length > rounding * jnp.maximum(size, 1))
+        there = able[number] & (length > rounding * jnp.maximum(size, 1))
         scale = jnp.where(there, 1 / jnp.where(there, length, 1), 0)
-        rigid.append(jax.tree.map(lambda m, s=scale: s * m, mode))
-        count = count + there.astype(int)
+        known = jax.tree.map(lambda k, m: k.at[number].set(scale * m), known, mode)
+        return known, count + there.astype(int)
+
+    nothing = jax.tree.map(jnp.zeros_like, modes)
+    rigid, count = jax.lax.fori_loop(0, 6, add, (nothing, count))
     return touching, rigid, count
+
+
+def _without(modes: Nodes, vector: Nodes) -> Nodes:
+    """A vector without its part in orthonormal modes, which are in front of the rows.
+
+    Gram and Schmidt; a mode that is 0 takes nothing.
+    """
+    each = jax.tree.map(lambda m, v: jnp.tensordot(m, v, 2), modes, vector)
+    parts = jnp.sum(jnp.stack(jax.tree.leaves(each)), axis=0)
+    return jax.tree.map(lambda m, v: v - jnp.tensordot(parts, m, 1), modes, vector)
 
 
 def _unpinned(problem: Problem) -> Bool[Array, ""]:
@@ -220,7 +225,11 @@ def _unloaded(problem: Problem) -> Bool[Array, ""]:
 
 
 class _Search(eqx.Module):
-    """State of the conjugate gradients."""
+    """State of the conjugate gradients.
+
+    The last iteration is not one of theirs: it has the product with the solution, so
+    that a product is compiled once.
+    """
 
     x: Nodes
     r: Nodes
@@ -230,6 +239,8 @@ class _Search(eqx.Module):
     softest: Float[Array, ""]
     products: Int[Array, ""]
     flat: Bool[Array, ""]
+    hx: Nodes
+    checked: Bool[Array, ""]
 
 
 def solve(linear: Linearised, force: Nodes, relative: Scalar | None = None) -> Response:
@@ -261,14 +272,23 @@ def solve(linear: Linearised, force: Nodes, relative: Scalar | None = None) -> R
         jnp.asarray(jnp.inf, dtype),
         jnp.zeros((), int),
         jnp.zeros((), bool),
+        zero,
+        jnp.zeros((), bool),
     )
     goal = relative**2 * size
 
-    def running(now: _Search) -> Array:
-        return (now.square > goal) & (now.products < MAX_PRODUCTS) & ~now.flat
-
     def step(now: _Search) -> _Search:
-        hp = linear.project(linear.product(now.p))
+        searching = (now.square > goal) & (now.products < MAX_PRODUCTS) & ~now.flat
+        x = linear.project(now.x)
+        vector = jax.tree.map(lambda p, x: jnp.where(searching, p, x), now.p, x)
+        product = linear.project(linear.product(vector))
+        after = searched(now, product)
+        checked = eqx.tree_at(
+            lambda s: (s.x, s.hx, s.checked), now, (x, product, jnp.ones((), bool))
+        )
+        return jax.tree.map(lambda a, b: jnp.where(searching, a, b), after, checked)
+
+    def searched(now: _Search, hp: Nodes) -> _Search:
         length = dot(now.p, now.p)
         curvature = dot(now.p, hp) / length
         stiffest = jnp.maximum(now.stiffest, jnp.abs(curvature))
@@ -286,11 +306,12 @@ def solve(linear: Linearised, force: Nodes, relative: Scalar | None = None) -> R
             jnp.minimum(now.softest, curvature),
             now.products + 1,
             flat,
+            now.hx,
+            now.checked,
         )
 
-    end = jax.lax.while_loop(running, step, start)
-    x = linear.project(end.x)
-    hx = linear.project(linear.product(x))
+    end = jax.lax.while_loop(lambda now: ~now.checked, step, start)
+    x, hx = end.x, end.hx
     left, length = _plus(hx, -1.0, b), dot(x, x)
     residual = jnp.sqrt(dot(left, left) / jnp.where(size > 0, size, 1))
     residual = jnp.where(jnp.isfinite(size), residual, jnp.nan)
@@ -331,7 +352,12 @@ def respond(linear: Linearised, force: Nodes) -> Response:
         linear: of a problem at an equilibrium.
         force: on every node, in F(0); its part in the null modes is left out.
     """
-    found, any_force = solve(linear, force), probe(linear)
+    dtype = jax.tree.leaves(linear.force)[0].dtype
+    forces = jax.tree.map(lambda a, b: jnp.stack([a, b]), force, linear.uneven)
+    relative = jnp.asarray([solved(dtype), max(_SEEN, solved(dtype))], dtype)
+    # one after the other in a loop, so that they are compiled once
+    both = jax.lax.map(lambda one: solve(linear, *one), (forces, relative))
+    found, any_force = (jax.tree.map(lambda a, k=k: a[k], both) for k in (0, 1))
     stable = any_force.code == Result.CONVERGED.code
     code = jnp.where(stable, found.code, any_force.code)
     return Response(
