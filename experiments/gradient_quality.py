@@ -87,8 +87,15 @@ def timed(call: Any) -> tuple[Any, float]:
 
 
 def exactness(options: argparse.Namespace) -> dict[str, Any]:
-    """Errors, norms, seconds and memory at each number of divisions."""
-    rows = []
+    """Errors, norms, seconds and memory at each number of divisions.
+
+    Rows of numbers that are not asked for are kept as they are.
+    """
+    others = [
+        row
+        for row in read("exactness").get("rows", [])
+        if row["divisions"] not in options.divisions
+    ]
     start = arrays(jg.Parameters())
     for divisions in options.divisions:
         scene = scene_of(divisions)
@@ -160,12 +167,15 @@ def exactness(options: argparse.Namespace) -> dict[str, Any]:
                     break
             row["errors"][name] = dict(zip(METRICS, relative.tolist(), strict=True))
             print(divisions, name, relative, file=sys.stderr, flush=True)
-        errors = [e for row_ in row["errors"].values() for e in row_.values()]
-        row["largest_error"] = max(errors, default=None)
-        row["median_error"] = float(np.median(errors)) if errors else None
-        rows.append(row)
-        write("exactness", {"rows": rows})
-        draw_exactness(rows)
+            errors = [e for each in row["errors"].values() for e in each.values()]
+            row["largest_error"] = max(errors)
+            row["median_error"] = float(np.median(errors))
+            rows = sorted([*others, row], key=lambda r: r["divisions"])
+            write("exactness", {"rows": rows})
+        others.append(row)
+    rows = sorted(others, key=lambda r: r["divisions"])
+    write("exactness", {"rows": rows})
+    draw_exactness(rows)
     return {"rows": rows}
 
 
@@ -280,6 +290,12 @@ def draw_sweep(figures: dict[str, Any]) -> None:
     figure.tight_layout()
     figure.savefig(RESULTS / "gradient_sweep.png", dpi=90)
     plt.close(figure)
+
+
+def read(part: str) -> dict[str, Any]:
+    """The figures of a part that were kept last."""
+    path = RESULTS / f"gradient_{part}.json"
+    return json.loads(path.read_text()) if path.exists() else {}
 
 
 def write(part: str, figures: dict[str, Any]) -> None:
