@@ -154,7 +154,7 @@ def audited(name: str, seed: int) -> dict[str, Any]:
         "laws": LAWS[seed % len(LAWS)],
         "collisions": mode,
         "result": growth.result.name,
-        "divisions": len(growth.events),
+        "divisions": growth.events.divisions,
         "largest_move_r0": audit.largest_move,
         "worst_quality": audit.worst_quality,
         "seconds": time.perf_counter() - start,
@@ -267,7 +267,7 @@ def cost(options: argparse.Namespace) -> dict[str, Any]:
             row = {
                 "seconds": spent,
                 "steps": sum(r["steps"] for r in growth.history),
-                "divisions": len(growth.events),
+                "divisions": growth.events.divisions,
                 "colliding": sum(bool(r["colliding"]) for r in growth.history),
                 "height_mm": float(shape.height_mm),
                 **{f"{n}_s": s for n, s in growth.seconds.items()},
@@ -304,7 +304,7 @@ def pictured(name: str, scene: jg.Scene) -> dict[str, Any]:
     return {
         "result": growth.result.name,
         "size_mm": growth.size_mm,
-        "divisions": len(growth.events),
+        "divisions": growth.events.divisions,
         "metrics": report["outcome"]["metrics"],
         "defects": report["audit"]["defects"],
         "quality_min": report["audit"]["surface"]["quality_min"],

@@ -12,6 +12,7 @@ from jaxgrow.numerics import safe_norm
 from jaxgrow.organ.sides import Sides
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Membrane, Particles, Species
+from jaxgrow.types import Scalar
 
 
 HALF_DISTANCE = 0.5
@@ -24,12 +25,15 @@ class Division(NamedTuple):
     Attributes:
         slot: of the new particle.
         parent: of a myoma; -1 for a polyp, whose parent is the source vertex.
+        depth: of a polyp's new particle under the source, in daughter offsets: 1, and
+            2, 3, … for those that are born together with it.
         offset: of a myoma's new particle from where its parent was, in r0; of a
             polyp's from the source vertex, where the rule would leave the tissue.
     """
 
     slot: int
     parent: int = -1
+    depth: int = 1
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
@@ -58,10 +62,12 @@ def source_normal(membrane: Membrane) -> Float[Array, "3"]:
     return total / jnp.where(length > 0, length, 1)
 
 
-def daughter_of_source(membrane: Membrane, parameters: Parameters) -> Float[Array, "3"]:
-    """Where a polyp's new particle is put by the rule, in r0."""
+def daughter_of_source(
+    membrane: Membrane, depth: Scalar, parameters: Parameters
+) -> Float[Array, "3"]:
+    """Where a polyp's new particle is put by the rule, in r0; see `Division.depth`."""
     start = membrane.vertices[membrane.source]
-    return start - parameters.daughter_offset * source_normal(membrane)
+    return start - depth * parameters.daughter_offset * source_normal(membrane)
 
 
 @eqx.filter_jit
@@ -69,14 +75,16 @@ def divide_polyp(
     particles: Particles,
     membrane: Membrane,
     slot: Int[Array, ""],
+    depth: Float[Array, ""],
     parameters: Parameters,
 ) -> Particles:
     """The source vertex emits a tumour particle: x = x_source - δ n.
 
     It is put a little inside the tissue, "to ensure that it will never fall outside
-    the endometrium"; relaxation pushes it further in. See `choose_polyp`.
+    the endometrium"; relaxation pushes it further in. Of several at once the second is
+    at 2δ, the third at 3δ. See `choose_polyp`.
     """
-    return _born(particles, slot, daughter_of_source(membrane, parameters))
+    return _born(particles, slot, daughter_of_source(membrane, depth, parameters))
 
 
 @eqx.filter_jit
@@ -108,7 +116,7 @@ def divide_myoma(
 
 
 def choose_polyp(
-    surface: Surface, slot: int, place: Float[np.ndarray, "3"]
+    surface: Surface, slot: int, place: Float[np.ndarray, "3"], depth: int = 1
 ) -> Division | None:
     """The division of a source, checked: the daughter must be inside the tissue.
 
@@ -119,6 +127,7 @@ def choose_polyp(
         surface: with the source.
         slot: of the new particle.
         place: by the rule, x_source - δ n.
+        depth: how many times δ it is there.
 
     Returns:
         The choice; None if every way leads out.
@@ -130,17 +139,17 @@ def choose_polyp(
     box = 2 * (delta + np.abs(around - start).max())
     sides = Sides(surface.vertices, surface.faces, start - box, start + box)
     if sides.measure(place[None]).side[0] < 0:
-        return Division(slot)
+        return Division(slot, depth=depth)
     index = np.arange(_WAYS)
     height = 1 - (2 * index + 1) / _WAYS
     flat, turn = np.sqrt(1 - height**2), 2.399963 * index
     ways = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
     for length in (delta, delta / 2, delta / 4):
         found = sides.measure(start + length * ways)
-        depth = np.where(found.side < 0, found.distance, 0)
-        if depth.max() > 0:
-            x, y, z = length * ways[depth.argmax()]
-            return Division(slot, offset=(float(x), float(y), float(z)))
+        deepness = np.where(found.side < 0, found.distance, 0)
+        if deepness.max() > 0:
+            x, y, z = length * ways[deepness.argmax()]
+            return Division(slot, depth=depth, offset=(float(x), float(y), float(z)))
     return None
 
 
@@ -170,7 +179,8 @@ def choose_myoma(
     index = int(rng.integers(len(tumour)))
     length = min(HALF_DISTANCE, 0.4 * float(clearance[index]))
     x, y, z = length * point_on_sphere(rng)
-    return Division(slot, int(tumour[index]), (float(x), float(y), float(z)))
+    offset = (float(x), float(y), float(z))
+    return Division(slot, int(tumour[index]), offset=offset)
 
 
 def _born(

@@ -51,19 +51,19 @@ class Event(NamedTuple):
     """The discrete choices of one growth step.
 
     Attributes:
-        division: who divided, and where to.
+        divisions: who divided, and where to; one, or as many as the scene asks for.
         settling: the equilibrium and the fairing.
         widenings: of the patch after it, mostly none.
     """
 
-    division: Division
+    divisions: tuple[Division, ...]
     settling: Settling
     widenings: tuple[Widening, ...] = ()
 
     @property
     def redirected(self) -> bool:
         """Whether a polyp's daughter was not put where the rule puts it."""
-        return self.division.parent < 0 and any(self.division.offset)
+        return any(d.parent < 0 and any(d.offset) for d in self.divisions)
 
     @property
     def remeshing(self) -> Remeshing | None:
@@ -116,8 +116,13 @@ class Events(Sequence[Event]):
         return self.steps[index]
 
     def __len__(self) -> int:
-        """Number of divisions."""
+        """Number of events."""
         return len(self.steps)
+
+    @property
+    def divisions(self) -> int:
+        """Number of divisions, one or more an event."""
+        return sum(len(event.divisions) for event in self.steps)
 
     def __iter__(self) -> Iterator[Event]:
         """The events in their order."""

@@ -177,14 +177,17 @@ def _grow(
     size = size_of(scene, step.state) * scene.r0_mm
     while result is Result.CONVERGED:
         forget_now_and_then(len(events))
-        result = end_of(scene, size, len(events), history, limits.divisions)
+        divisions = sum(len(event.divisions) for event in events)
+        result = end_of(scene, size, divisions, history, limits.divisions)
         if result is not Result.CONVERGED:
             break
         if limits.seconds is not None and clock.elapsed > limits.seconds:
             result = Result.TIME_LIMIT
             break
-        made = iterate(scene, step, parameters, tolerance, rng, clock)
-        step, result, number = made.step, made.result, len(events) + 1
+        left = min(scene.lesion.divisions or limits.divisions, limits.divisions)
+        count = min(scene.lesion.divisions_per_step, left - divisions)
+        made = iterate(scene, step, parameters, tolerance, rng, clock, count)
+        step, result = made.step, made.result
         if made.settled is None:
             break
         if made.event is not None and result is Result.CONVERGED:
@@ -193,7 +196,8 @@ def _grow(
                 size = size_of(scene, step.state) * scene.r0_mm
         elif result is Result.STEP_LIMIT and _stagnates(history, STAGNATION // 2):
             result = Result.CAVITY_FULL
-        record = make_record(number, size, step.state, made.settled, clock)
+        born = 1 if made.event is None else len(made.event.divisions)
+        record = make_record(divisions + born, size, step.state, made.settled, clock)
         add_feeling(record, made.felt)
         record["result"] = made.result.name
         if made.event is not None and made.event.redirected:

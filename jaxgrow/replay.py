@@ -87,8 +87,10 @@ def replay(
         if settled.result is not Result.CONVERGED:
             return step, history, settled.result
         step = settled.step
-    for number, event in enumerate(events, 1):
-        forget_now_and_then(number - 1)
+    number = 0
+    for index, event in enumerate(events):
+        forget_now_and_then(index)
+        number += len(event.divisions)
         settled = repeat(step, event, parameters, tolerance, clock)
         with clock.phase("measure"):
             size = size_of(scene, settled.step.state) * scene.r0_mm

@@ -67,7 +67,7 @@ def make_report(
         "result": growth.result.name,
         "sentence": growth.result.sentence,
         "success": growth.result.success,
-        "divisions": len(growth.events),
+        "divisions": growth.events.divisions,
         "size_mm": growth.size_mm,
         "mended": growth.mended,
         "metrics": named(shape_metrics(growth.state)),

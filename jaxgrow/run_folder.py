@@ -210,7 +210,7 @@ def describe(growth: Growth) -> str:
     where = "grown freely"
     if growth.site is not None and growth.organ is not None:
         where = f"at {growth.site.name} of {growth.organ.name}"
-    kind, divisions = growth.scene.lesion.kind, len(growth.events)
+    kind, divisions = growth.scene.lesion.kind, growth.events.divisions
     return f"{kind} of {growth.size_mm:.1f} mm {where}, {divisions} divisions"
 
 

@@ -40,12 +40,16 @@ class Lesion(_Model):
         particle_mm: r0, the distance at which two particles rest; the resolution.
             By default a fraction of the size (`particles_across`), or 1 mm.
         site: a named site of the organ, or x, y, z in mm near its surface.
+        divisions_per_step: how many particles are born before the next equilibrium.
+            The paper has one. With more a growth is faster, and its lesions differ in
+            the mean, too: see the README.
     """
 
     size_mm: Positive | None = None
     divisions: Annotated[int, pydantic.Field(ge=1)] | None = None
     particle_mm: Positive | None = None
     site: Site = SITE_DEFAULT
+    divisions_per_step: Annotated[int, pydantic.Field(ge=1)] = 1
 
     @pydantic.model_validator(mode="after")
     def _one_end(self) -> "Lesion":

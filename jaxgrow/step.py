@@ -76,15 +76,26 @@ def iterate(
     tolerance: float,
     rng: np.random.Generator,
     clock: Clock,
+    count: int = 1,
 ) -> Iteration:
-    """Divide, adapt, fair, reset; the step before it comes back if that fails."""
+    """Divide, adapt, fair, reset; the step before it comes back if that fails.
+
+    Args:
+        scene: what grows.
+        step: where it stands.
+        parameters: of the mechanics.
+        tolerance: of the equilibrium, in F(0).
+        rng: draws who divides, and where to.
+        clock: counts the seconds.
+        count: number of divisions, at most as many as there are particles to divide.
+    """
     with clock.phase("divide"):
-        division = choose_division(scene, step.state, parameters, rng)
-        if division is None:
+        divisions = choose_divisions(scene, step.state, parameters, rng, count)
+        if divisions is None:
             return Iteration(step, None, None, Result.ON_MEMBRANE)
-        state = divide(step.state, division, parameters)
+        state = divide(step.state, divisions, parameters)
     settled = settle(scene, replace(step, state=state), parameters, tolerance, clock)
-    event = Event(division, settled.settling)
+    event = Event(divisions, settled.settling)
     result, felt = settled.result, None
     if result is Result.CONVERGED and step.border is not None:
         felt = _feeling(step, settled, parameters)
@@ -195,7 +206,7 @@ def repeat(
         clock: counts the seconds.
     """
     with clock.phase("divide"):
-        state = divide(step.state, event.division, parameters)
+        state = divide(step.state, event.divisions, parameters)
     step = replace(step, state=state)
     settled = settle_again(step, event.settling, parameters, tolerance, clock)
     for widening in event.widenings:
@@ -223,39 +234,61 @@ def widen(
     return settle_again(placed, widening.settling, parameters, tolerance, clock)
 
 
-def choose_division(
-    scene: Scene, state: State, parameters: Parameters, rng: np.random.Generator
-) -> Division | None:
+def choose_divisions(
+    scene: Scene,
+    state: State,
+    parameters: Parameters,
+    rng: np.random.Generator,
+    count: int = 1,
+) -> tuple[Division, ...] | None:
     """Who divides, and where to; None if every way leads out of the tissue."""
     slot = int(get(state.particles.alive).sum())
     if isinstance(scene.lesion, Myoma):
-        return _choose(state, slot, rng)
+        return _draw(state, slot, rng, count)
     assert state.membrane is not None
-    place = get(_daughter_of_source(state.membrane, parameters))
-    return choose_polyp(get_surface(state.membrane), slot, place)
+    surface, divisions = get_surface(state.membrane), list[Division]()
+    for depth in range(1, count + 1):
+        far = jnp.asarray(float(depth))
+        place = get(_daughter_of_source(state.membrane, far, parameters))
+        division = choose_polyp(surface, slot + depth - 1, place, depth)
+        if division is None:
+            return None
+        divisions.append(division)
+    return tuple(divisions)
 
 
 _daughter_of_source = eqx.filter_jit(daughter_of_source)
 
 
-def divide(state: State, division: Division, parameters: Parameters) -> State:
-    """1. The state after a division that has been chosen."""
-    particles = _with_room(state.particles)
-    slot = jnp.asarray(division.slot)
-    offset = jnp.asarray(division.offset)
-    if division.parent >= 0:
-        particles = divide_myoma(particles, jnp.asarray(division.parent), slot, offset)
-    else:
-        assert state.membrane is not None
+def divide(
+    state: State, divisions: tuple[Division, ...], parameters: Parameters
+) -> State:
+    """1. The state after divisions that have been chosen."""
+    particles, membrane = state.particles, state.membrane
+    for division in divisions:
+        particles = _with_room(particles)
+        slot = jnp.asarray(division.slot)
+        offset = jnp.asarray(division.offset)
+        if division.parent >= 0:
+            parent = jnp.asarray(division.parent)
+            particles = divide_myoma(particles, parent, slot, offset)
+            continue
+        assert membrane is not None
         if any(division.offset):
-            particles = divide_polyp_to(particles, state.membrane, slot, offset)
+            particles = divide_polyp_to(particles, membrane, slot, offset)
         else:
-            particles = divide_polyp(particles, state.membrane, slot, parameters)
-    return State(particles, state.membrane, state.frame)
+            depth = jnp.asarray(float(division.depth))
+            particles = divide_polyp(particles, membrane, slot, depth, parameters)
+    return State(particles, membrane, state.frame)
 
 
-def _choose(state: State, slot: int, rng: np.random.Generator) -> Division:
-    """Draw a myoma's division, with the clearances that bound it."""
+def _draw(
+    state: State, slot: int, rng: np.random.Generator, count: int
+) -> tuple[Division, ...]:
+    """Draw a myoma's divisions, with the clearances that bound them.
+
+    No particle divides twice.
+    """
     particles = state.particles
     of_tumour = get(particles.species) == Species.TUMOUR
     tumour = np.flatnonzero(get(particles.alive) & of_tumour)
@@ -264,7 +297,13 @@ def _choose(state: State, slot: int, rng: np.random.Generator) -> Division:
         surface = get_surface(state.membrane)
         points = get(particles.position)[tumour]
         clearance, _, _ = nearest_on_mesh(points, surface.vertices, surface.faces)
-    return choose_myoma(tumour, slot, clearance, rng)
+    divisions = list[Division]()
+    while len(tumour) and len(divisions) < count:
+        division = choose_myoma(tumour, slot + len(divisions), clearance, rng)
+        divisions.append(division)
+        others = tumour != division.parent
+        tumour, clearance = tumour[others], clearance[others]
+    return tuple(divisions)
 
 
 def _with_room(particles: Particles) -> Particles:

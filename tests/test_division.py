@@ -54,15 +54,26 @@ def test_normal_at_the_source_is_that_of_the_cone(cone):
 def test_polyp_puts_its_particle_under_the_source_by_the_offset(particles, cone):
     membrane, axis = cone
     parameters = Parameters(daughter_offset=0.17)
-    after = divide_polyp(particles, membrane, jnp.asarray(3), parameters)
+    after = divide_polyp(
+        particles, membrane, jnp.asarray(3), jnp.asarray(1.0), parameters
+    )
     np.testing.assert_allclose(after.position[3], 3.0 - 0.17 * axis, atol=1e-14)
     assert after.alive[3]
     assert after.species[3] == Species.TUMOUR
     assert not after.held[3]
 
 
+def test_polyps_further_particles_of_a_step_are_put_deeper(particles, cone):
+    membrane, axis = cone
+    depth, parameters = jnp.asarray(2.0), Parameters(daughter_offset=0.17)
+    after = divide_polyp(particles, membrane, jnp.asarray(3), depth, parameters)
+    np.testing.assert_allclose(after.position[3], 3.0 - 0.34 * axis, atol=1e-14)
+
+
 def test_polyp_division_leaves_everybody_else_alone(particles, cone):
-    after = divide_polyp(particles, cone[0], jnp.asarray(3), Parameters())
+    after = divide_polyp(
+        particles, cone[0], jnp.asarray(3), jnp.asarray(1.0), Parameters()
+    )
     others = np.arange(8) != 3
     for name in ("position", "species", "alive", "held"):
         before, now = getattr(particles, name), getattr(after, name)
@@ -104,7 +115,7 @@ def test_daughter_is_always_inside_the_tissue():
     rng, redirected = np.random.default_rng(8), 0
     for _ in range(300):
         surface = spiky(rng)
-        place = np.asarray(daughter_of_source(put_membrane(surface), Parameters()))
+        place = np.asarray(daughter_of_source(put_membrane(surface), 1, Parameters()))
         division = choose_polyp(surface, 5, place)
         led_out = not below(surface, place)
         redirected += led_out

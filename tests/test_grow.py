@@ -21,7 +21,7 @@ from jaxgrow.parameters import Parameters, UnstableAdhesionWarning
 from jaxgrow.planting import plant
 from jaxgrow.results import Result
 from jaxgrow.scene import Myoma, Polyp, Scene
-from jaxgrow.step import choose_division, divide
+from jaxgrow.step import choose_divisions, divide
 from jaxgrow.transfer import get, get_particles
 
 
@@ -44,8 +44,8 @@ def clusters(adhesion, tolerance, sizes, seed=0):
     state = plant(CLUSTER, parameters, tolerance=tolerance, rng=rng).state
     lists, found = None, {}
     for size in range(2, max(sizes) + 1):
-        division = choose_division(CLUSTER, state, parameters, rng)
-        state = divide(state, division, parameters)
+        divisions = choose_divisions(CLUSTER, state, parameters, rng)
+        state = divide(state, divisions, parameters)
         laws = Laws(parameters, tolerance)
         nowhere = np.zeros(0, int)
         adapted = adapt_tissue_and_surface(state, nowhere, laws, lists, colliding=False)
@@ -139,8 +139,8 @@ def test_same_seed_gives_the_same_bits(thirty):
     np.testing.assert_array_equal(
         again.state.particles.position, thirty.state.particles.position
     )
-    divisions = [event.division for event in thirty.events]
-    assert [event.division for event in again.events] == divisions
+    divisions = [event.divisions for event in thirty.events]
+    assert [event.divisions for event in again.events] == divisions
 
 
 def test_another_seed_gives_another_growth(thirty):
@@ -155,6 +155,27 @@ def test_every_division_has_a_record_with_a_residual_within_tolerance(thirty):
     assert all(r["residual"] <= thirty.tolerance for r in thirty.history)
     assert [r["particles"] for r in thirty.history] == list(range(2, 31))
     assert len(thirty.events) == 29
+
+
+def test_several_divisions_share_an_equilibrium():
+    # nobody divides twice in a step, so at first there are fewer than four
+    lesion = Myoma(divisions=10, particle_mm=1.0, divisions_per_step=4)
+    growth = grow(Scene(organ=None, lesion=lesion))
+    assert [r["division"] for r in growth.history] == [1, 3, 7, 10]
+    assert [r["particles"] for r in growth.history] == [2, 4, 8, 11]
+    assert growth.events.divisions == 10
+    for event in growth.events:
+        parents = [division.parent for division in event.divisions]
+        assert len(set(parents)) == len(parents)
+    slots = [d.slot for event in growth.events for d in event.divisions]
+    assert slots == list(range(1, 11))
+
+
+def test_several_divisions_do_not_exceed_the_limit():
+    lesion = Myoma(size_mm=50.0, particle_mm=1.0, divisions_per_step=4)
+    growth = grow(Scene(organ=None, lesion=lesion), max_divisions=9)
+    assert growth.result is Result.DIVISION_LIMIT
+    assert growth.events.divisions == 9
 
 
 def test_division_limit_is_a_result(thirty):

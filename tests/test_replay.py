@@ -28,6 +28,10 @@ MEETING = Scene(
     lesion=Polyp(divisions=4, particle_mm=1.5),
     surroundings=Surroundings(radius=4.0, collisions="on"),
 )
+THREE_AT_ONCE = Scene(
+    lesion=Polyp(divisions=7, particle_mm=1.5, divisions_per_step=3),
+    surroundings=Surroundings(radius=4.0),
+)
 MYOMA = Scene(
     lesion=Myoma(divisions=4, particle_mm=1.5),
     surroundings=Surroundings(radius=4.0, thickness=4.0),
@@ -63,13 +67,21 @@ def check_same(first, again):
 
 
 @pytest.mark.parametrize(
-    "scene", [POLYP, CLUSTER, MEETING, MYOMA], ids=["polyp", "free", "meeting", "myoma"]
+    "scene",
+    [POLYP, CLUSTER, MEETING, MYOMA, THREE_AT_ONCE],
+    ids=["polyp", "free", "meeting", "myoma", "three-at-once"],
 )
 def test_replay_gives_the_same_bits(scene):
     first = grow(scene, seed=3)
     meeting = scene is MEETING
     assert all(event.settling.colliding is meeting for event in first.events)
-    check_same(first, grow(scene, events=first.events))
+    again = grow(scene, events=first.events)
+    check_same(first, again)
+    counted = [[record["division"] for record in g.history] for g in (first, again)]
+    assert counted[0] == counted[1]
+    if scene is THREE_AT_ONCE:
+        assert counted[0] == [3, 6, 7]
+        assert first.history[-1]["tumour"] == 7
 
 
 def test_replay_enlarges_the_patch_again(monkeypatch):
@@ -100,7 +112,7 @@ def test_events_of_another_lesion_are_refused(polyp):
 
 def test_events_are_a_sequence(polyp):
     assert len(polyp.events) == len(list(polyp.events)) == 8
-    assert polyp.events[0].division.slot == polyp.events[1].division.slot - 1
+    assert polyp.events[0].divisions[0].slot == polyp.events[1].divisions[0].slot - 1
     assert len(polyp.events[2:]) == 6
     assert polyp.events.parameters == Parameters()
 

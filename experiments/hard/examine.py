@@ -146,7 +146,7 @@ def of_growth(growth: jg.Growth, **figures: Any) -> Found:
     if growth.history and growth.history[-1]["result"] != "CONVERGED":
         figures["residual_of_the_last"] = growth.history[-1]["residual"]
     figures = {
-        "divisions": len(growth.events),
+        "divisions": growth.events.divisions,
         "size_mm": round(growth.size_mm, 2),
         "mended": mended,
         **figures,

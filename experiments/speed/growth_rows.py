@@ -97,7 +97,7 @@ def grow_free(options: Options) -> Iterator[Row]:
         parameters=jg.Parameters(),
     )
     first = jg.grow(scene, tolerance=TOLERANCE)
-    divisions = [event.division for event in first.events]
+    divisions = [division for event in first.events for division in event.divisions]
     lbfgs = lambda position: relax_lbfgs(position, tolerance=TOLERANCE)
     final = grow_numba(divisions, lbfgs).position
     radius = 1.5 * float(np.abs(final).max()) + 2.0
