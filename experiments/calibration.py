@@ -39,7 +39,7 @@ from jaxgrow.calibration.fit import describe_request
 from jaxgrow.calibration.growths import Growths, LesionGrower, Values
 from jaxgrow.calibration.loss import Loss
 from jaxgrow.calibration.task import make_task, Task
-from jaxgrow.cli import compile_cache
+from jaxgrow.compile_cache import compile_cache
 
 
 RESULTS = Path(__file__).parent / "results"
@@ -65,7 +65,6 @@ EXPERT = jg.Scene(
 )
 """Of 25 designs over six parameters (a Sobol sequence, particles of 1.2 mm) the one
 with the narrowest neck, half as wide as the lesion; the default's is 0.85 of it."""
-
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         Target as Target,
     )
     from jaxgrow.energy.a2 import A2 as A2
+    from jaxgrow.ensemble import grow_many as grow_many
     from jaxgrow.equilibrium.compliance import (
         linear_response as linear_response,
         LinearResponse as LinearResponse,
@@ -92,6 +93,7 @@ _HOME = {
     "audit_run": "run_folder",
     "fit": "calibration.fit",
     "grow": "grow",
+    "grow_many": "ensemble",
     "linear_response": "equilibrium.compliance",
     "load_organ": "organ.loading",
     "load_scene": "scene",

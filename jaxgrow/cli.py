@@ -6,9 +6,7 @@ compiled programs. Nothing heavy is imported before a command needs it.
 
 import contextlib
 import enum
-import hashlib
 import os
-import platform
 import sys
 import time
 import warnings
@@ -18,6 +16,7 @@ from typing import Annotated, Any, TYPE_CHECKING
 
 import typer
 
+from jaxgrow.compile_cache import compile_cache
 from jaxgrow.interruption import heard_interrupts
 
 
@@ -370,29 +369,6 @@ def _configure() -> None:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     warnings.formatwarning = lambda message, *_, **__: f"jaxgrow: warning: {message}\n"
-
-
-def compile_cache() -> Path | None:
-    """Folder of compiled programs; None if ``JAXGROW_XLA_CACHE`` is ``off``.
-
-    ``JAX_COMPILATION_CACHE_DIR`` or ``JAXGROW_XLA_CACHE`` choose another folder. By
-    default there is one for each version of jaxlib and kind of processor, because
-    programs compiled for another one may crash.
-    """
-    from importlib.metadata import version
-
-    choice = os.environ.get("JAXGROW_XLA_CACHE")
-    if choice == "off":
-        return None
-    choice = os.environ.get("JAX_COMPILATION_CACHE_DIR") or choice
-    if choice:
-        return Path(choice)
-    processor = platform.machine() + platform.processor()
-    with contextlib.suppress(OSError):
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        processor += next((line for line in lines if line.startswith("flags")), "")
-    kind = hashlib.sha256(processor.encode()).hexdigest()[:8]
-    return Path.home() / ".cache/jaxgrow/xla" / f"jaxlib-{version('jaxlib')}-{kind}"
 
 
 def _flat(entries: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from jaxgrow.cli import combine, compile_cache, main
+from jaxgrow.cli import combine, main
+from jaxgrow.compile_cache import compile_cache
 from jaxgrow.scene import Myoma, Polyp
 
 

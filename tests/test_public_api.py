@@ -30,6 +30,7 @@ PROMISED = [
     "audit_run",
     "fit",
     "grow",
+    "grow_many",
     "linear_response",
     "load_organ",
     "load_scene",

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 import jax
 import numba
 
-from jaxgrow.cli import compile_cache
+from jaxgrow.compile_cache import compile_cache
 from jaxgrow.report import versions
 
 

@@ -1,0 +1,164 @@
+"""Several growths side by side, each in a process of its own."""
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import as_completed, Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
+from typing import Any
+
+import jax
+
+from jaxgrow.compile_cache import compile_cache
+from jaxgrow.equilibrium.implicit import is_differentiated
+from jaxgrow.grow import grow
+from jaxgrow.growth import Growth
+from jaxgrow.parameters import Parameters
+from jaxgrow.replay import numbers
+from jaxgrow.scene import Scene
+
+
+_SETTINGS = (
+    "jax_enable_x64",
+    "jax_compilation_cache_dir",
+    "jax_persistent_cache_min_compile_time_secs",
+    "jax_persistent_cache_min_entry_size_bytes",
+)
+"""What a process is told of how JAX is configured here."""
+
+
+def grow_many(
+    scene: Scene,
+    *,
+    seeds: Iterable[int],
+    parameters: Parameters | Sequence[Parameters] | None = None,
+    processes: int | None = None,
+    finished: Callable[[Growth], None] | None = None,
+    **options: Any,
+) -> tuple[Growth, ...]:
+    """Grow a lesion for each seed, several at the same time.
+
+    A growth is a chain of small programs that one core is enough for, so members run
+    in processes of their own, a thread each; in one batched program every member
+    would rebuild its lists whenever one has to. A member is bit for bit what `grow`
+    makes of its seed in a process with one thread. Processes take about two seconds to
+    start, a gigabyte each, and share compiled programs through the cache on disk: the
+    one that JAX is configured with, or else that of the command.
+
+    Processes import the script that started them anew, as always with Python's
+    `multiprocessing`: put what is not to be repeated under ``if __name__ ==
+    "__main__":``. Notebooks need nothing. On an accelerator, which they would have to
+    share, members are grown one after the other in this process.
+
+    Args:
+        scene: what to grow, and where.
+        seeds: one for each member.
+        parameters: of all members, or one for each; the scene's if None.
+        processes: how many at the same time; one for each core if None. With one,
+            members are grown in this process.
+        finished: called with every member as it is finished, in any order.
+        **options: of `grow`: tolerance, max_divisions, max_seconds.
+
+    Returns:
+        The growths, in the order of the seeds.
+
+    Raises:
+        ValueError: there is not one set of parameters for each seed, a number of
+            processes is not positive, or a derivative is asked for (take it of `grow`).
+        OrganError: the organ or the site cannot be used.
+        RuntimeError: a process was ended from outside, mostly for want of memory.
+    """
+    seeds = [int(seed) for seed in seeds]
+    each = _one_for_each(seeds, parameters)
+    unknown = set(options) - {"tolerance", "max_divisions", "max_seconds"}
+    if unknown:
+        raise TypeError(
+            f"grow_many got {sorted(unknown)}; of grow's options it takes tolerance, "
+            "max_divisions and max_seconds."
+        )
+    if processes is None:
+        processes = _cores() if jax.default_backend() == "cpu" else 1
+    if processes < 1:
+        raise ValueError(f"processes is {processes}; it must be at least 1.")
+    members = list(zip(seeds, each, strict=True))
+    if min(processes, len(members)) <= 1:
+        return tuple(_told(_grow(scene, *m, options), finished) for m in members)
+    pool = ProcessPoolExecutor(
+        min(processes, len(members)), get_context("spawn"), _prepare, (_settings(),)
+    )
+    try:
+        running = [pool.submit(_grow, scene, *member, options) for member in members]
+        for member in as_completed(running):
+            _told(_answer(member), finished)
+        return tuple(_answer(member) for member in running)
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _one_for_each(
+    seeds: list[int], parameters: Parameters | Sequence[Parameters] | None
+) -> list[Parameters | None]:
+    """The parameters of every member, as numbers: other processes know no tracers."""
+    if parameters is None:
+        return [None] * len(seeds)
+    given = parameters
+    if isinstance(given, Parameters):
+        given = [given] * len(seeds)
+    if len(given) != len(seeds):
+        raise ValueError(
+            f"there are {len(given)} parameters for {len(seeds)} seeds; give one for "
+            "all, or one for each."
+        )
+    if any(is_differentiated(one) for one in given):
+        raise ValueError(
+            "a derivative does not go through grow_many; take that of grow, seed by "
+            "seed."
+        )
+    return [numbers(one) for one in given]
+
+
+def _grow(
+    scene: Scene, seed: int, parameters: Parameters | None, options: dict[str, Any]
+) -> Growth:
+    return grow(scene, seed=seed, parameters=parameters, **options)
+
+
+def _told(growth: Growth, finished: Callable[[Growth], None] | None) -> Growth:
+    if finished is not None:
+        finished(growth)
+    return growth
+
+
+def _answer(member: Future[Growth]) -> Growth:
+    try:
+        return member.result()
+    except BrokenProcessPool as error:
+        raise RuntimeError(
+            "a process of grow_many ended without an answer, mostly for want of "
+            "memory; ask for fewer processes."
+        ) from error
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _settings() -> dict[str, Any]:
+    """How JAX is configured here; with a cache of compiled programs in any case."""
+    settings = {name: getattr(jax.config, name) for name in _SETTINGS}
+    if settings["jax_compilation_cache_dir"] is None:
+        folder = compile_cache()
+        settings["jax_compilation_cache_dir"] = None if folder is None else str(folder)
+        settings["jax_persistent_cache_min_compile_time_secs"] = 0.0
+        settings["jax_persistent_cache_min_entry_size_bytes"] = -1
+    return settings
+
+
+def _prepare(settings: dict[str, Any]) -> None:
+    """Set a process up, before it computes anything."""
+    os.environ["NPROC"] = "1"  # threads of XLA
+    for name, value in settings.items():
+        jax.config.update(name, value)
