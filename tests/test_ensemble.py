@@ -75,7 +75,7 @@ def test_polyp_survives_the_way_between_processes():
     scene = Scene(lesion=Polyp(divisions=2, particle_mm=1.5))
     found = grow_many(scene, seeds=[0, 1], processes=2)
     assert [growth.events.divisions for growth in found] == [2, 2]
-    _, faces = found[0].surface()
+    _, faces, _ = found[0].surface()
     assert len(faces) > 1000
 
 

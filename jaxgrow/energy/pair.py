@@ -36,14 +36,15 @@ _AWAY = 1e9
 be looked up to know that they do not interact."""
 
 
-class _Crowd(NamedTuple):
+class Crowd(NamedTuple):
     """Particles as the sums need them; the last row stands for empty entries."""
 
     columns: Columns
     tumour: Bool[Array, " n+1"]
 
 
-def _crowd(particles: Particles) -> _Crowd:
+def crowd_of(particles: Particles) -> Crowd:
+    """The particles, dead ones far away."""
     count = particles.position.shape[0]
     away = _AWAY * (1 + jnp.arange(count + 1, dtype=particles.position.dtype) / count)
     columns = tuple(
@@ -51,7 +52,7 @@ def _crowd(particles: Particles) -> _Crowd:
         for column in particles.position.T
     )
     tumour = jnp.pad(particles.species == Species.TUMOUR, (0, 1))
-    return _Crowd(columns, tumour)
+    return Crowd(columns, tumour)
 
 
 def _blocks(listed: Int[Array, "k n"]) -> Int[Array, "c b n"]:
@@ -62,7 +63,7 @@ def _blocks(listed: Int[Array, "k n"]) -> Int[Array, "c b n"]:
 
 
 def _pairs(
-    crowd: _Crowd, other: Int[Array, "b n"], parameters: Parameters
+    crowd: Crowd, other: Int[Array, "b n"], parameters: Parameters
 ) -> tuple[Columns, Float[Array, "b n"], Float[Array, "b n"]]:
     """x_i - x_j, its length and the stiffness of the pair, for some j of each i."""
 
@@ -76,12 +77,28 @@ def _pairs(
     return components, length, jnp.where(both, parameters.tumour_stiffness, 1.0)
 
 
+def force_on(
+    index: Int[Array, ""],
+    crowd: Crowd,
+    listed: Int[Array, "k n"],
+    parameters: Parameters,
+) -> Float[Array, "3"]:
+    """Force on one particle alone, in F(0); see `pair_force`."""
+    law = A2(parameters.adhesion, parameters.smoothing)
+    other = listed[:, index]
+    apart = jnp.stack([column[index] - column[other] for column in crowd.columns])
+    length = safe_root(jnp.sum(apart**2, axis=0))
+    both = crowd.tumour[index] & crowd.tumour[other]
+    force = jnp.where(both, parameters.tumour_stiffness, 1.0) * law.force(length)
+    return jnp.sum(safe_divide(force, length, length > 0)[None, :] * apart, axis=1)
+
+
 def _pair_sum(
     particles: Particles, listed: Int[Array, "k n"], parameters: Parameters
 ) -> Float[Array, ""]:
     """The energy as a plain sum; every pair is listed from both sides."""
     law = A2(parameters.adhesion, parameters.smoothing)
-    crowd = _crowd(particles)
+    crowd = crowd_of(particles)
 
     def add(total: Array, other: Int[Array, "b n"]) -> tuple[Array, None]:
         _, length, stiffness = _pairs(crowd, other, parameters)
@@ -107,7 +124,7 @@ def pair_force(
         parameters: adhesion, smoothing and tumour stiffness are used.
     """
     law = A2(parameters.adhesion, parameters.smoothing)
-    crowd = _crowd(particles)
+    crowd = crowd_of(particles)
 
     def add(total: Columns, other: Int[Array, "b n"]) -> tuple[Columns, None]:
         components, length, stiffness = _pairs(crowd, other, parameters)

@@ -10,6 +10,7 @@ from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from jaxgrow.equilibrium.descent import blank_memory, descend, Minimiser
+from jaxgrow.equilibrium.euler import Euler
 from jaxgrow.equilibrium.fire import FIRE
 from jaxgrow.equilibrium.implicit import at_equilibrium, is_differentiated, primal
 from jaxgrow.equilibrium.lbfgs import LBFGS
@@ -21,12 +22,13 @@ from jaxgrow.equilibrium.listing import (
 )
 from jaxgrow.equilibrium.newton import polish
 from jaxgrow.equilibrium.problem import Lists, Problem
+from jaxgrow.equilibrium.serial import sweep
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
 from jaxgrow.state import Membrane, Nodes, Particles
 
 
-Method = Literal["auto", "lbfgs", "fire", "newton"]
+Method = Literal["auto", "lbfgs", "fire", "newton", "euler", "serial"]
 
 LARGEST_STEP = 0.1
 """Longest displacement of a node in one step, in r0."""
@@ -75,6 +77,7 @@ class Relaxation(NamedTuple):
 
 _descend = eqx.filter_jit(descend)
 _polish = eqx.filter_jit(polish)
+_sweep = eqx.filter_jit(sweep)
 _blank_memory = eqx.filter_jit(blank_memory)
 
 
@@ -141,9 +144,10 @@ def relax(
         membrane: or None for particles alone; then no membrane term is compiled.
         parameters: of the energy; the default `Parameters()`.
         tolerance: largest force on a free node at the end, in F(0).
-        method: "lbfgs", "fire", "newton" (only from near an equilibrium), or "auto":
-            L-BFGS, which Newton's method ends where the tolerance is below 1e-4, then
-            FIRE if they do not converge.
+        method: "lbfgs", "fire", "newton" (only from near an equilibrium), "euler" and
+            "serial" (the paper's eq. 1, all at once or in serial order, which is for
+            particles alone), or "auto": L-BFGS, which Newton's method ends where the
+            tolerance is below 1e-4, then FIRE if they do not converge.
         max_steps: bound on the steps of each method.
         largest_step: longest displacement of a node in one step, in r0.
         load: external force on every vertex, in F(0).
@@ -160,7 +164,7 @@ def relax(
 
     Raises:
         ValueError: there is nothing to relax, the tolerance is not positive, or the
-            method is unknown.
+            method is unknown or not for a membrane.
     """
     if particles is None and membrane is None:
         raise ValueError("nothing to relax: give particles, a membrane, or both.")
@@ -171,6 +175,8 @@ def relax(
             f"largest_step is {largest_step}; it must be positive and at most "
             f"{LARGEST_STEP}, or nodes could pass each other within a step."
         )
+    if method == "serial" and membrane is not None:
+        raise ValueError("method is 'serial', which is for particles alone.")
     given = Problem.of(particles, membrane, parameters, load)
     problem = primal(given)
     if problem.particles is not None:
@@ -187,7 +193,7 @@ def relax(
         if stage.polishes and not near:
             continue
         limits = _Limits(stage.tolerance, max_steps, largest_step)
-        found = _run(problem, lists, stage.minimiser, limits, collide, observe)
+        found = _run(problem, lists, stage, limits, collide, observe)
         problem, lists, forces = problem.at(found.nodes), found.lists, found.force
         result = found.result
         near |= result is Result.CONVERGED
@@ -214,7 +220,7 @@ class _Stage(NamedTuple):
 
     Attributes:
         name: of it.
-        minimiser: None for Newton's method.
+        minimiser: None for a method that is no `Minimiser`.
         tolerance: how far it goes.
         polishes: whether it comes only after a method that converged.
     """
@@ -262,11 +268,14 @@ def _stages(method: str, tolerance: float, parameters: Parameters) -> list[_Stag
     lbfgs = _Stage("lbfgs", LBFGS(), tolerance)
     fire = _Stage("fire", FIRE(largest=0.4 / jnp.sqrt(stiffest)), tolerance)
     newton = _Stage("newton", None, tolerance)
+    euler = _Stage("euler", Euler(Euler.rate / stiffest), tolerance)
+    serial = _Stage("serial", None, tolerance)
     auto = [lbfgs, fire]
     if tolerance < POLISHED:
         polish = newton._replace(polishes=True), lbfgs._replace(polishes=True)
         auto = [lbfgs._replace(tolerance=POLISHED), *polish, fire]
-    methods = {"lbfgs": [lbfgs], "fire": [fire], "newton": [newton], "auto": auto}
+    alone = {stage.name: [stage] for stage in (lbfgs, fire, newton, euler, serial)}
+    methods = {**alone, "auto": auto}
     if method not in methods:
         raise ValueError(f"method is {method!r}; it must be one of {list(methods)}.")
     return methods[method]
@@ -275,15 +284,13 @@ def _stages(method: str, tolerance: float, parameters: Parameters) -> list[_Stag
 def _run(
     problem: Problem,
     lists: Lists,
-    minimiser: Minimiser | None,
+    stage: _Stage,
     limits: _Limits,
     collide: CollisionLister | None,
     observe: Callable[[Nodes], None] | None,
 ) -> _Found:
-    """One method, Newton's if there is no minimiser.
-
-    Every list that overflows is allocated anew and larger.
-    """
+    """One method; every list that overflows is allocated anew and larger."""
+    minimiser = stage.minimiser
     steps = rebuilds = overflows = 0
     memory = None
     if minimiser is not None and (collide is not None or observe is not None):
@@ -292,7 +299,12 @@ def _run(
         lists = prepared(problem, lists, collide)
         tolerance = jnp.asarray(limits.tolerance, problem.dtype)
         largest = jnp.asarray(limits.largest_step, problem.dtype)
-        if minimiser is None:
+        if stage.name == "serial":
+            most = jnp.asarray(limits.max_steps - steps)
+            outcome = _sweep(problem, lists, tolerance, most, largest)
+            made = int(outcome.steps)
+            rebuilds += int(outcome.rebuilds)
+        elif minimiser is None:
             outcome = _polish(problem, lists, tolerance, largest)
             made = int(outcome.products)
         else:

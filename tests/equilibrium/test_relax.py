@@ -1,6 +1,7 @@
 """Relaxation: closed forms, every result, and what may not move."""
 
 import inspect
+from itertools import product
 
 import equinox as eqx
 import jax
@@ -67,11 +68,16 @@ def test_dimer_rests_at_r0(make_particles):
     np.testing.assert_allclose(np.linalg.norm(gap), 1, atol=1e-8)
 
 
-@pytest.mark.parametrize("method", ["lbfgs", "fire", "auto"])
-@pytest.mark.parametrize("tolerance", [1e-3, 1e-9])
+SLOW = [("euler", 1e-3), ("serial", 1e-3)]  # soft modes take them for ever
+
+
+@pytest.mark.parametrize(
+    "method, tolerance", [*product(["lbfgs", "fire", "auto"], [1e-3, 1e-9]), *SLOW]
+)
 def test_particles_alone_come_to_rest(cluster, method, tolerance):
-    outcome = relax(cluster, tolerance=tolerance, method=method)
+    outcome = relax(cluster, tolerance=tolerance, method=method, max_steps=20_000)
     assert outcome.result is Result.CONVERGED
+    assert method in (outcome.stats.method, "auto")
     assert outcome.state[1] is None
     assert outcome.stats.residual <= tolerance
     assert dense_residual(outcome.state[0]) <= tolerance * (1 + 1e-6)
@@ -80,6 +86,38 @@ def test_particles_alone_come_to_rest(cluster, method, tolerance):
 def test_method_that_ended_it_is_named(cluster):
     assert relax(cluster, method="auto").stats.method == "lbfgs"
     assert relax(cluster, method="fire").stats.method == "fire"
+
+
+def test_serial_order_takes_fewer_steps_than_all_at_once(cluster):
+    # the paper's remark
+    steps = [
+        relax(cluster, method=m, max_steps=20_000).stats.steps
+        for m in ("serial", "euler")
+    ]
+    assert 3 * steps[0] < steps[1]
+
+
+def test_serial_order_is_that_of_the_slots(make_particles):
+    # the second particle sees where the first one went, and so goes less far
+    pair = make_particles([[0, 0, 0], [0.9, 0, 0]])
+    once = relax(pair, method="serial", max_steps=1, tolerance=1e-12)
+    first = -0.64 * float(A2().force(jnp.asarray(0.9)))
+    second = 0.9 + 0.64 * float(A2().force(jnp.asarray(0.9 - first)))
+    assert -0.1 < first < 0 < second - 0.9 < -first
+    found = once.state[0].position[:2, 0]
+    np.testing.assert_allclose(found, [first, second], atol=1e-14)
+
+
+def test_serial_order_is_for_particles_alone(bed):
+    with pytest.raises(ValueError, match="'serial', which is for particles alone"):
+        relax(*bed, method="serial")
+
+
+@pytest.mark.parametrize("method", ["euler", "serial"])
+def test_the_papers_methods_do_not_move_what_is_held_or_dead(cluster, method):
+    still = ~np.asarray(cluster.free)
+    after = relax(cluster, method=method, max_steps=50).state[0]
+    np.testing.assert_array_equal(after.position[still], cluster.position[still])
 
 
 def test_lbfgs_takes_fewer_steps_than_fire(cluster):
@@ -280,7 +318,7 @@ def test_auto_goes_on_with_fire_where_lbfgs_stops(cluster):
     assert outcome.stats.steps == 8
 
 
-@pytest.mark.parametrize("method", ["lbfgs", "fire"])
+@pytest.mark.parametrize("method", ["lbfgs", "fire", "euler", "serial"])
 def test_position_that_is_not_finite_is_a_result(cluster, method):
     # jax-md's lists raise no flag for it
     position = cluster.position.at[7].set(jnp.nan)
