@@ -27,7 +27,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from speed import force_rows, growth_rows, memory, relaxation_rows
+from speed import ensemble_rows, force_rows, growth_rows, memory, relaxation_rows
 from speed.curves import AXES, work_precision
 from speed.measure import circumstances, configure, load, Options, Row
 
@@ -44,6 +44,8 @@ ROWS: dict[str, Callable[[Options], Iterator[Row]]] = {
     "relax-10k": relaxation_rows.relax_ball,
     "division": relaxation_rows.division,
     "grow": growth_rows.grow_free,
+    "divisions-per-step": ensemble_rows.divisions_per_step,
+    "ensemble": ensemble_rows.ensemble,
     "memory": memory.memory,
 }
 
