@@ -99,7 +99,7 @@ print(growth.result)
 
 # %%
 print(f"{growth.result.name}: {growth.size_mm:.1f} of {polyp.size_mm:g} mm")
-print(f"{len(growth.events)} divisions")
+print(f"{growth.events.divisions} divisions")
 shape = vars(jg.shape_metrics(growth.state))
 for name, value in shape.items():
     print(f"{name:>22}: {float(value):8.2f}")
@@ -158,7 +158,9 @@ stiff = jg.Parameters(spring_stiffness=4 * scene.parameters.spring_stiffness)
 stiff_growth = jg.grow(scene, seed=0, tolerance=1e-2, parameters=stiff)
 stiff_shape = vars(jg.shape_metrics(stiff_growth.state))
 print(f"{'':>22}  {'default':>8}  {'stiff':>8}")
-print(f"{'divisions':>22}  {len(growth.events):8}  {len(stiff_growth.events):8}")
+print(
+    f"{'divisions':>22}  {growth.events.divisions:8}  {stiff_growth.events.divisions:8}"
+)
 for name, value in shape.items():
     print(f"{name:>22}  {float(value):8.2f}  {float(stiff_shape[name]):8.2f}")
 
