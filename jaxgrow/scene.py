@@ -41,8 +41,8 @@ class Lesion(_Model):
             By default a fraction of the size (`particles_across`), or 1 mm.
         site: a named site of the organ, or x, y, z in mm near its surface.
         divisions_per_step: how many particles are born before the next equilibrium.
-            The paper has one. With more a growth is faster, and its lesions differ in
-            the mean, too: see the README.
+            The paper has one. With four a polyp of 24 divisions took 0.64 of the time;
+            its mean shape differed by less than four seeds can tell (15 % in height).
     """
 
     size_mm: Positive | None = None
