@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from scipy.spatial import KDTree
 
 from jaxgrow.capacity import capacity_for
@@ -130,7 +130,7 @@ def make(position: Float[Array, "n 3"], of: Hash, before: Any = None) -> Any:
     Returns:
         A `jax_md.partition.NeighborList`.
     """
-    points = np.asarray(position)
+    points = _finite(position)
     cell = np.trunc((points + _SHIFT) / of.size) % of.cells
     _, in_cell = np.unique(cell, axis=0, return_counts=True)
     wanted = math.ceil(_HEADROOM * most_neighbors(position, of.radius))
@@ -146,7 +146,7 @@ def make(position: Float[Array, "n 3"], of: Hash, before: Any = None) -> Any:
     update, cell_list = _functions(of)
     return partition.NeighborList(
         idx=jnp.asarray(np.full((len(points), room), len(points), np.int32)),
-        reference_position=jnp.asarray(points + _NEVER),
+        reference_position=jnp.asarray(points + _SHIFT),
         error=partition.PartitionError(jnp.asarray(np.uint8(0))),
         cell_list_capacity=capacity_for(wanted_in_cell, least_in_cell),
         max_occupancy=room,
@@ -157,14 +157,19 @@ def make(position: Float[Array, "n 3"], of: Hash, before: Any = None) -> Any:
     )
 
 
-_NEVER = 1e6
-"""A move, in r0, after which no list holds."""
+_FARTHEST = 1e9
+"""Coordinates beyond it, in r0, have no cell."""
+
+
+def _finite(position: Float[Array, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """Positions on the host; what is nowhere is at 0, as in jax-md's cells."""
+    points = np.asarray(position)
+    return np.where(np.abs(points) < _FARTHEST, points, 0)
 
 
 def most_neighbors(position: Float[Array, "n 3"], radius: float) -> int:
     """How many neighbours a point has within a radius, at most."""
-    points = np.asarray(position)
-    points = points[np.isfinite(points).all(axis=1)]
+    points = _finite(position)
     if len(points) == 0:
         return 0
     tree = KDTree(points)
@@ -173,12 +178,48 @@ def most_neighbors(position: Float[Array, "n 3"], radius: float) -> int:
 
 def relist(wide: Any, position: Float[Array, "n 3"]) -> Any:
     """The list for these positions; its error is set if they do not fit."""
-    far = wide.reference_position + _NEVER  # so that it is made anew surely
-    unknown = dataclasses.replace(wide, reference_position=far)
     with _permissive():
-        return unknown.update(position + _SHIFT)
+        return wide.update(position + _SHIFT)  # no move is too small: dr_threshold is 0
 
 
 def moved(wide: Any, position: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
     """How far every point has gone since the list was made, in r0."""
     return position + _SHIFT - wide.reference_position
+
+
+def moved_to(wide: Any, chosen: Int[Array, " k"], position: Float[Array, "k 3"]) -> Any:
+    """A list whose entries of some points are about to be made for these positions.
+
+    Args:
+        wide: the list.
+        chosen: the points; n stands for nobody.
+        position: where they are, in r0.
+    """
+    reference = wide.reference_position.at[chosen].set(position + _SHIFT, mode="drop")
+    return dataclasses.replace(wide, reference_position=reference)
+
+
+def part_of(
+    wide: Any,
+    listed: Int[Array, "q w"],
+    position: Float[Array, "q 3"],
+    index: Int[np.ndarray, " p"],
+) -> Any:
+    """The list of some of the points.
+
+    Args:
+        wide: of all of them.
+        listed: entries of the chosen ones and of padding.
+        position: of both, in r0.
+        index: who the chosen ones are; they are the first rows.
+    """
+    update, cell_list = _functions(Hash.of(len(position), wide.cell_size))
+    reference = np.asarray(position) + _SHIFT
+    reference[: len(index)] = np.asarray(wide.reference_position)[index]
+    return dataclasses.replace(
+        wide,
+        idx=listed,
+        reference_position=jnp.asarray(reference),
+        cell_list_fn=cell_list,
+        update_fn=update,
+    )

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from jaxgrow.clock import Clock
 from jaxgrow.compilations import count_compilations, forget_now_and_then
 from jaxgrow.equilibrium.implicit import is_differentiated
-from jaxgrow.equilibrium.relax import exact_tolerance
+from jaxgrow.equilibrium.stages import exact_tolerance
 from jaxgrow.events import Event, Events, Start
 from jaxgrow.growth import Growth, Progress
 from jaxgrow.lesion import size_of

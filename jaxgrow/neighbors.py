@@ -5,22 +5,28 @@ computed from. The near one is short (empty and distant entries cost as much as 
 and so holds for short moves only, but finding it in the wide one costs no more than a
 force evaluation; the wide one, ten times as dear, holds for long moves.
 
+Where many particles are listed and few of them went far, as after a division, only
+those few are listed anew (`jaxgrow.relisting`), at a hundredth of the cost.
+
 `allocate` runs on the host and decides capacities; `update` runs in compiled code. An
 update that does not fit sets a flag that stays set, and forces computed from such a
 list are wrong: `relax` rolls back and allocates anew.
 """
 
+import dataclasses
 import functools
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxgrow import cells
 from jaxgrow.energy.a2 import CUTOFF
-from jaxgrow.numerics import farthest_two
+from jaxgrow.numerics import farthest_two, safe_norm
+from jaxgrow.relisting import Links, relink
 
 
 SKIN = 0.2
@@ -32,7 +38,10 @@ _WIDE_SKIN_OF_MANY = 0.5
 """Extra radius of the wide list of few and of many particles: jax-md stores all pairs
 of adjacent cells when it makes one, which of many particles should not be too many."""
 
-_FEW = 4096
+FEW = 4096
+
+_STRAYS = 32
+"""Particles that are listed anew one by one; when more went far, all are."""
 
 _LEAST_OCCUPANCY = 32
 _OCCUPANCY_STEP = 8
@@ -59,9 +68,14 @@ class Neighbors(eqx.Module):
         """Whether an update did not fit, so that the list must not be used."""
         return self.full | (self.wide.error.code != 0)
 
+    @property
+    def wide_skin(self) -> float:
+        """Extra radius of the wide list, in r0."""
+        return self.wide.cell_size - CUTOFF
+
 
 def _skin(count: int) -> float:
-    return WIDE_SKIN if count <= _FEW else _WIDE_SKIN_OF_MANY
+    return WIDE_SKIN if count <= FEW else _WIDE_SKIN_OF_MANY
 
 
 def allocate(
@@ -93,26 +107,108 @@ def _filled(position: Float[Array, "n 3"], wide: Any, room: int) -> Neighbors:
 
 def outgrown(neighbors: Neighbors, position: Float[Array, "n 3"]) -> Bool[Array, ""]:
     """Whether the near list may lack a pair at these positions."""
-    return farthest_two(position - neighbors.reference) > SKIN
+    return ~(farthest_two(position - neighbors.reference) <= SKIN)  # NaN: surely
 
 
 def rebuilt(
     neighbors: Neighbors, position: Float[Array, "n 3"], anew: Bool[Array, ""]
 ) -> Neighbors:
     """The list for these positions if it is to be made anew, else as it is."""
-    skin = _skin(position.shape[0])
 
     def make() -> Neighbors:
         wide = jax.lax.cond(
-            farthest_two(cells.moved(neighbors.wide, position)) > skin - SKIN,
-            lambda: cells.relist(neighbors.wide, position),
+            farthest_two(cells.moved(neighbors.wide, position))
+            <= neighbors.wide_skin - SKIN,
             lambda: neighbors.wide,
+            lambda: cells.relist(neighbors.wide, position),
         )
         room = neighbors.listed.shape[0]
         listed, most = _near(position, wide.idx, room)
         return Neighbors(listed, position, neighbors.full | (most > room), wide)
 
-    return jax.lax.cond(anew, make, lambda: neighbors)
+    if position.shape[0] <= FEW:
+        return jax.lax.cond(anew, make, lambda: neighbors)
+    _, strays = _far(neighbors, position)
+    return jax.lax.cond(
+        anew,
+        lambda: jax.lax.cond(
+            strays <= _STRAYS, lambda: _patched(neighbors, position), make
+        ),
+        lambda: neighbors,
+    )
+
+
+def _far(
+    neighbors: Neighbors, position: Float[Array, "n 3"]
+) -> tuple[Float[Array, " n"], Int[Array, ""]]:
+    """How far each went since it was listed, and how many went far.
+
+    Without those the near list holds on for half of its skin at least.
+    """
+    moved = safe_norm(position - neighbors.reference)
+    moved = jnp.where(jnp.isnan(moved), jnp.inf, moved)
+    return moved, jnp.sum(moved > SKIN / 4)
+
+
+def _patched(neighbors: Neighbors, position: Float[Array, "n 3"]) -> Neighbors:
+    """The list with those that went far listed anew, in both lists.
+
+    A pair is listed or not by where both were when they were listed last: that is what
+    the skin is a bound for. So the others are where they were then here too.
+    """
+    moved, strays = _far(neighbors, position)
+    _, farthest = jax.lax.top_k(moved, _STRAYS)
+    count = position.shape[0]
+    chosen = jnp.where(jnp.arange(_STRAYS) < strays, farthest, count)
+    reference = neighbors.reference.at[chosen].set(position[farthest], mode="drop")
+    wide = cells.moved_to(neighbors.wide, chosen, position[farthest])
+
+    def relist(number: Array, lists: tuple[Links, Links]) -> tuple[Links, Links]:
+        one = farthest[number]
+
+        def near(places: Float[Array, "n 3"], radius: float) -> Bool[Array, " n"]:
+            square = sum((column - column[one]) ** 2 for column in places.T)
+            return (square < radius**2) & (jnp.arange(count, dtype=one.dtype) != one)
+
+        return (
+            relink(lists[0], one, near(reference, CUTOFF + SKIN)),
+            relink(lists[1], one, near(wide.reference_position, wide.cell_size)),
+        )
+
+    own = Links(neighbors.listed, neighbors.full)
+    start = own, Links(wide.idx.T, neighbors.full)
+    near, far = jax.lax.fori_loop(0, strays, relist, start)
+    wide = dataclasses.replace(wide, idx=far.listed.T)
+    return Neighbors(near.listed, reference, near.full | far.full, wide)
+
+
+def part_of(
+    neighbors: Neighbors, index: Int[np.ndarray, " p"], position: Float[Array, "q 3"]
+) -> Neighbors:
+    """The list of some of the particles, made on the host from that of all of them.
+
+    Args:
+        neighbors: of all of them.
+        index: of the chosen ones, without repetition.
+        position: of their slots, in their order; the padding follows them, parked.
+    """
+    count, room = neighbors.listed.shape[1], position.shape[0]
+    number = np.full(count + 1, room, np.int32)
+    number[index] = np.arange(len(index), dtype=np.int32)
+
+    def chosen(table: Int[Array, "k n"]) -> Array:
+        rows = np.full((table.shape[0], room), room, np.int32)
+        rows[:, : len(index)] = number[np.asarray(table)[:, index]]
+        return jnp.asarray(rows)
+
+    reference = np.array(position)
+    reference[: len(index)] = np.asarray(neighbors.reference)[index]
+    return Neighbors(
+        chosen(neighbors.listed),
+        jnp.asarray(reference),
+        jnp.zeros((), bool),
+        cells.part_of(neighbors.wide, chosen(neighbors.wide.idx.T).T, position, index),
+    )
 
 
 def update(neighbors: Neighbors, position: Float[Array, "n 3"]) -> Neighbors:

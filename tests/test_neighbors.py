@@ -207,3 +207,103 @@ def test_thousands_of_particles_lose_no_pair():
     assert pairs_of(nb.allocate(jnp.asarray(position)), position) == pairs_by_tree(
         position
     )
+
+
+MANY = nb.FEW + 404
+
+
+def crowd(seed):
+    """More particles than are always listed all together, and parked slots."""
+    side = (MANY / 1.2) ** (1 / 3)
+    position = box(seed, scale=side, count=MANY)
+    return np.concatenate([position[:-50], np.asarray(parked(50))])
+
+
+def is_symmetric(listed):
+    """Whether nobody is listed twice, and everybody by those that it lists."""
+    count = listed.shape[1]
+    own = np.broadcast_to(np.arange(count), listed.shape)
+    real = listed < count
+    there, back = own[real] * count + listed[real], listed[real] * count + own[real]
+    return np.array_equal(np.unique(there), np.sort(back))
+
+
+def made_anew(before, after):
+    """Whether all were listed, not a few of them."""
+    kept = np.all(np.asarray(before.reference) == np.asarray(after.reference), axis=1)
+    return not kept.any()
+
+
+@pytest.mark.parametrize("strays", [1, 5, 25])
+def test_few_that_jump_among_many_are_listed_alone(strays):
+    rng = np.random.default_rng(strays)
+    position = crowd(7)
+    inner = position[: MANY - 50]
+    neighbors = roomy_for(position)
+    for _ in range(5):
+        before = neighbors
+        inner += 0.02 / np.sqrt(3) * rng.uniform(-1, 1, inner.shape)
+        # daughters come from where slots are parked, and pairs jump together
+        chosen = rng.choice(MANY, strays, replace=False)
+        position[chosen] = inner[rng.choice(len(inner), strays)] + 0.3
+        position[chosen[:2]] = position[chosen[0]] + [[0, 0, 0], [0.5, 0, 0]][:strays]
+        neighbors = update(neighbors, jnp.asarray(position))
+        assert not neighbors.overflow
+        assert is_symmetric(np.asarray(neighbors.listed))
+        assert is_symmetric(np.asarray(neighbors.wide.idx).T)
+        assert pairs_of(neighbors, position) == pairs_by_tree(position)
+        if not made_anew(before, neighbors):
+            moved = np.linalg.norm(position - np.asarray(neighbors.reference), axis=1)
+            assert moved.max() <= nb.SKIN / 4
+    # the wide list, too, was kept: the next one is made of it
+    anew = nb.rebuilt(neighbors, jnp.asarray(position), jnp.asarray(True))
+    assert pairs_of(anew, position) == pairs_by_tree(position)
+
+
+def roomy_for(position):
+    """A list with room for some more than there are."""
+    loose = nb.allocate(jnp.asarray(position))
+    more = np.zeros((8, loose.listed.shape[1]), np.int32) + len(position)
+    listed = jnp.concatenate([loose.listed, jnp.asarray(more)])
+    return nb.Neighbors(listed, loose.reference, loose.full, loose.wide)
+
+
+def test_one_that_jumps_into_a_full_place_is_told():
+    position = crowd(8)
+    neighbors = nb.allocate(jnp.asarray(position))
+    room = neighbors.listed.shape[0]
+    position[: room + 1] = position[100] + 0.1 * box(9)[: room + 1]
+    for one in range(room + 1):  # one by one: a few each time
+        now = np.array(neighbors.reference)
+        now[one] = position[one]
+        neighbors = update(neighbors, jnp.asarray(now))
+    assert neighbors.overflow
+
+
+@pytest.mark.parametrize("nowhere", [np.nan, np.inf, -np.inf, 1e300])
+def test_a_list_made_of_places_that_are_none_does_not_hold(nowhere):
+    position = box(11)
+    bad = position.copy()
+    bad[3] = nowhere
+    neighbors = nb.allocate(jnp.asarray(bad), roomy(position))
+    assert nb.outgrown(neighbors, jnp.asarray(position))
+    again = nb.update(neighbors, jnp.asarray(position))
+    assert again.overflow or pairs_of(again, position) == pairs_by_tree(position)
+
+
+def test_the_list_of_a_part_is_that_of_its_particles():
+    position = crowd(10)
+    whole = nb.allocate(jnp.asarray(position))
+    moved = position + 0.04 * np.sin(37 * position)
+    index = np.flatnonzero(np.linalg.norm(position - 5.0, axis=1) < 5)
+    room = len(index) + 20
+    slots = np.concatenate([moved[index], np.asarray(parked(20))])
+    part = nb.part_of(whole, index, jnp.asarray(slots))
+    assert part.listed.shape[1] == room
+    assert pairs_of(part, slots) == pairs_by_tree(slots)
+    rng = np.random.default_rng(12)
+    for _ in range(10):
+        slots[: len(index)] += 0.1 * rng.normal(size=(len(index), 3))
+        part = update(part, jnp.asarray(slots))
+        assert not part.overflow
+        assert pairs_of(part, slots) == pairs_by_tree(slots)

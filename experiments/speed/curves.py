@@ -18,7 +18,7 @@ from jaxtyping import Float
 import jaxgrow as jg
 from jaxgrow.equilibrium.listing import allocate_lists
 from jaxgrow.equilibrium.problem import Problem
-from jaxgrow.equilibrium.relax import Method
+from jaxgrow.equilibrium.stages import Method
 from jaxgrow.neighbors import SKIN
 from jaxgrow.transfer import get
 

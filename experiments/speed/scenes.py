@@ -65,16 +65,17 @@ def resting_ball(count: int) -> Float[np.ndarray, "n 3"]:
 def divided(
     position: Float[np.ndarray, "n 3"], number: int
 ) -> Float[np.ndarray, "m 3"]:
-    """The ball after its inner particle of that number divided.
+    """The ball after its inner particle of that number divided; the daughter is last.
 
     Balls of all sizes are alike at their centres, and so are their divisions.
     """
     parent = int(np.argsort((position**2).sum(axis=1), kind="stable")[number])
     direction = np.random.default_rng(number).normal(size=3)
     offset = 0.5 * direction / np.linalg.norm(direction)
-    centre = position[parent]
-    halves = np.stack([centre - offset, centre + offset])
-    return np.concatenate([position[:parent], halves, position[parent + 1 :]])
+    daughter = position[parent] + offset
+    position = np.concatenate([position, daughter[None]])
+    position[parent] -= offset
+    return position
 
 
 def particles_of(position: Float[np.ndarray, "n 3"]) -> jg.Particles:

@@ -60,11 +60,21 @@ def _refresh(problem: Problem, lists: Lists) -> Lists:
 
 def allocate_lists(problem: Problem, before: Lists | None = None) -> Lists:
     """Lists with room for the current state, and not smaller than before."""
-    neighbors = contacts = candidates = None
+    neighbors = None
     if before is None:
         before = Lists(None, None)
     if problem.particles is not None:
         neighbors = nb.allocate(problem.particles.position, before.neighbors)
+    return allocate_contacts(problem, neighbors, before)
+
+
+def allocate_contacts(
+    problem: Problem, neighbors: nb.Neighbors | None, before: Lists | None = None
+) -> Lists:
+    """The same where neighbours are listed already."""
+    contacts = candidates = None
+    if before is None:
+        before = Lists(None, None)
     if problem.particles is not None and problem.membrane is not None:
         both = problem.both()
         radius = jnp.asarray(reach(problem.parameters))
@@ -120,9 +130,16 @@ def fits(problem: Problem, lists: Lists) -> bool:
     return (problem.particles is None) or (problem.membrane is None)
 
 
+@eqx.filter_jit
+def _hold(problem: Problem, lists: Lists) -> Array:
+    return ~(problem.outgrown(problem.nodes(), lists).any() | lists.overflow)
+
+
 def prepared(problem: Problem, lists: Lists, collide: CollisionLister | None) -> Lists:
     """Lists that are valid for where the problem is now."""
-    now = _refresh(problem, lists.with_collisions(None))
+    now = lists.with_collisions(None)
+    if not bool(_hold(problem, now)):
+        now = _refresh(problem, now)
     if bool(now.overflow):
         now = allocate_lists(problem, now)
     if collide is None or problem.membrane is None:

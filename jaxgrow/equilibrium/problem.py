@@ -241,7 +241,8 @@ class Problem(eqx.Module):
             assert nodes.particles is not None
             assert nodes.vertices is not None
             moved = lists.contacts.moved(nodes.particles, nodes.vertices)
-            outgrown = eqx.tree_at(lambda o: o.contacts, outgrown, moved > CONTACT_SKIN)
+            stale = ~(moved <= CONTACT_SKIN)  # NaN too
+            outgrown = eqx.tree_at(lambda o: o.contacts, outgrown, stale)
         if lists.collisions is not None:
             assert nodes.vertices is not None
             moved = lists.collisions.checked(nodes.vertices).stale
@@ -278,9 +279,9 @@ class Problem(eqx.Module):
         moved = candidates.moved(particles.position, membrane.vertices)
         room = candidates.particle.shape[0]
         candidates = jax.lax.cond(
-            moved > CANDIDATE_SKIN - CONTACT_SKIN,
-            lambda: list_contacts(particles, membrane, whole + CANDIDATE_SKIN, room),
+            moved <= CANDIDATE_SKIN - CONTACT_SKIN,
             lambda: candidates,
+            lambda: list_contacts(particles, membrane, whole + CANDIDATE_SKIN, room),
         )
         near = narrow_contacts(
             candidates,

@@ -2,39 +2,30 @@
 
 import math
 from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
-from jaxgrow.equilibrium.descent import blank_memory, descend, Minimiser
-from jaxgrow.equilibrium.euler import Euler
-from jaxgrow.equilibrium.fire import FIRE
 from jaxgrow.equilibrium.implicit import at_equilibrium, is_differentiated, primal
-from jaxgrow.equilibrium.lbfgs import LBFGS
-from jaxgrow.equilibrium.listing import (
-    allocate_lists,
-    CollisionLister,
-    fits,
-    prepared,
-)
-from jaxgrow.equilibrium.newton import polish
+from jaxgrow.equilibrium.listing import allocate_lists, CollisionLister, fits
+from jaxgrow.equilibrium.local import may_pay, relax_locally
 from jaxgrow.equilibrium.problem import Lists, Problem
-from jaxgrow.equilibrium.serial import sweep
+from jaxgrow.equilibrium.stages import (
+    exact_tolerance,
+    Limits,
+    Method,
+    run_stage,
+    stages_of,
+)
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
 from jaxgrow.state import Membrane, Nodes, Particles
 
 
-Method = Literal["auto", "lbfgs", "fire", "newton", "euler", "serial"]
-
 LARGEST_STEP = 0.1
 """Longest displacement of a node in one step, in r0."""
-
-POLISHED = 1e-4
-"""Tolerance below which Newton's method ends a relaxation, in F(0)."""
 
 
 class RelaxationStats(NamedTuple):
@@ -73,12 +64,6 @@ class Relaxation(NamedTuple):
     stats: RelaxationStats
     lists: Lists
     forces: Nodes
-
-
-_descend = eqx.filter_jit(descend)
-_polish = eqx.filter_jit(polish)
-_sweep = eqx.filter_jit(sweep)
-_blank_memory = eqx.filter_jit(blank_memory)
 
 
 @eqx.filter_jit
@@ -147,7 +132,9 @@ def relax(
         method: "lbfgs", "fire", "newton" (only from near an equilibrium), "euler" and
             "serial" (the paper's eq. 1, all at once or in serial order, which is for
             particles alone), or "auto": L-BFGS, which Newton's method ends where the
-            tolerance is below 1e-4, then FIRE if they do not converge.
+            tolerance is below 1e-4, then FIRE if they do not converge; "local": the
+            same after relaxing what is disturbed by itself, larger and larger, which
+            "auto" does too where there are thousands of nodes.
         max_steps: bound on the steps of each method.
         largest_step: longest displacement of a node in one step, in r0.
         load: external force on every vertex, in F(0).
@@ -177,6 +164,11 @@ def relax(
         )
     if method == "serial" and membrane is not None:
         raise ValueError("method is 'serial', which is for particles alone.")
+    if method == "local" and (collide is not None or observe is not None):
+        raise ValueError(
+            "method is 'local', which is for what collides with nothing and is not "
+            "observed; 'auto' is for everything."
+        )
     given = Problem.of(particles, membrane, parameters, load)
     problem = primal(given)
     if problem.particles is not None:
@@ -187,13 +179,18 @@ def relax(
         tolerance = min(tolerance, exact_tolerance(given.dtype))
     if lists is None or not fits(problem, lists):
         lists = allocate_lists(problem)
+    if method == "auto" and collide is None and observe is None and may_pay(problem):
+        method = "local"
     stats = RelaxationStats(math.inf, 0, 0, 0, method)
     result, forces, near = Result.STEP_LIMIT, problem.nodes(), False
-    for stage in _stages(method, tolerance, problem.parameters):
+    for stage in stages_of(method, tolerance, problem.parameters):
         if stage.polishes and not near:
             continue
-        limits = _Limits(stage.tolerance, max_steps, largest_step)
-        found = _run(problem, lists, stage, limits, collide, observe)
+        limits = Limits(stage.tolerance, max_steps, largest_step)
+        if stage.name == "local":
+            found = relax_locally(problem, lists, limits)
+        else:
+            found = run_stage(problem, lists, stage, limits, collide, observe)
         problem, lists, forces = problem.at(found.nodes), found.lists, found.force
         result = found.result
         near |= result is Result.CONVERGED
@@ -213,126 +210,3 @@ def relax(
         problem = given.at(nodes)
     state = problem.particles, problem.membrane
     return Relaxation(state, result, stats, lists, forces)
-
-
-class _Stage(NamedTuple):
-    """A method.
-
-    Attributes:
-        name: of it.
-        minimiser: None for a method that is no `Minimiser`.
-        tolerance: how far it goes.
-        polishes: whether it comes only after a method that converged.
-    """
-
-    name: str
-    minimiser: Minimiser | None
-    tolerance: float
-    polishes: bool = False
-
-
-class _Limits(NamedTuple):
-    """Where a method stops, and its longest step."""
-
-    tolerance: float
-    max_steps: int
-    largest_step: float
-
-
-class _Found(NamedTuple):
-    """Where a method ended."""
-
-    nodes: Nodes
-    force: Nodes
-    lists: Lists
-    result: Result
-    residual: float
-    steps: int
-    rebuilds: int
-    overflows: int
-
-
-def exact_tolerance(dtype: DTypeLike = jnp.float64) -> float:
-    """Tolerance of an equilibrium whose derivative is taken, in F(0)."""
-    return 1e-10 if jnp.finfo(dtype).bits > 32 else 1e-5
-
-
-def _stages(method: str, tolerance: float, parameters: Parameters) -> list[_Stage]:
-    """The methods to try in turn, until one reaches the tolerance.
-
-    Raises:
-        ValueError: the method is unknown.
-    """
-    # the stiffest pairs bound the stable time step: 2 / √λ, and λ grows with s
-    stiffest = jnp.maximum(1.0, parameters.tumour_stiffness)
-    lbfgs = _Stage("lbfgs", LBFGS(), tolerance)
-    fire = _Stage("fire", FIRE(largest=0.4 / jnp.sqrt(stiffest)), tolerance)
-    newton = _Stage("newton", None, tolerance)
-    euler = _Stage("euler", Euler(Euler.rate / stiffest), tolerance)
-    serial = _Stage("serial", None, tolerance)
-    auto = [lbfgs, fire]
-    if tolerance < POLISHED:
-        polish = newton._replace(polishes=True), lbfgs._replace(polishes=True)
-        auto = [lbfgs._replace(tolerance=POLISHED), *polish, fire]
-    alone = {stage.name: [stage] for stage in (lbfgs, fire, newton, euler, serial)}
-    methods = {**alone, "auto": auto}
-    if method not in methods:
-        raise ValueError(f"method is {method!r}; it must be one of {list(methods)}.")
-    return methods[method]
-
-
-def _run(
-    problem: Problem,
-    lists: Lists,
-    stage: _Stage,
-    limits: _Limits,
-    collide: CollisionLister | None,
-    observe: Callable[[Nodes], None] | None,
-) -> _Found:
-    """One method; every list that overflows is allocated anew and larger."""
-    minimiser = stage.minimiser
-    steps = rebuilds = overflows = 0
-    memory = None
-    if minimiser is not None and (collide is not None or observe is not None):
-        memory = _blank_memory(problem, minimiser)
-    while True:
-        lists = prepared(problem, lists, collide)
-        tolerance = jnp.asarray(limits.tolerance, problem.dtype)
-        largest = jnp.asarray(limits.largest_step, problem.dtype)
-        if stage.name == "serial":
-            most = jnp.asarray(limits.max_steps - steps)
-            outcome = _sweep(problem, lists, tolerance, most, largest)
-            made = int(outcome.steps)
-            rebuilds += int(outcome.rebuilds)
-        elif minimiser is None:
-            outcome = _polish(problem, lists, tolerance, largest)
-            made = int(outcome.products)
-        else:
-            most = limits.max_steps - steps if observe is None else 1
-            outcome = _descend(
-                problem, lists, minimiser, tolerance, jnp.asarray(most), largest, memory
-            )
-            made, memory = int(outcome.steps), outcome.memory
-            rebuilds += int(outcome.rebuilds)
-        steps += made
-        problem, lists = problem.at(outcome.nodes), outcome.lists
-        if observe is not None and made:
-            observe(outcome.nodes)
-        result = Result.of(int(outcome.code))
-        single = observe is not None and minimiser is not None
-        paused = single or bool(lists.stale)
-        if result is Result.OVERFLOW:
-            overflows += 1
-            lists = allocate_lists(problem, lists)
-        elif not (result is Result.STEP_LIMIT and steps < limits.max_steps and paused):
-            residual = float(outcome.residual)
-            return _Found(
-                outcome.nodes,
-                outcome.force,
-                lists,
-                result,
-                residual,
-                steps,
-                rebuilds,
-                overflows,
-            )

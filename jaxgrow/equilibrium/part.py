@@ -1,0 +1,189 @@
+"""A problem cut out of a larger one: some nodes may move, those around are held."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from scipy.spatial import KDTree
+
+from jaxgrow.capacity import capacity_for
+from jaxgrow.energy.a2 import CUTOFF
+from jaxgrow.energy.contact import reach
+from jaxgrow.equilibrium.problem import Problem
+from jaxgrow.state import Membrane, Nodes, parked, Particles
+from jaxgrow.transfer import get, get_number, padded
+
+
+MARGIN = 1.0
+"""How far a node may go, in r0, before it could meet what was not cut out with it."""
+
+_LEAST = 1024
+
+
+class Mask(NamedTuple):
+    """Some of the nodes."""
+
+    particles: Bool[np.ndarray, " n"]
+    vertices: Bool[np.ndarray, " m"]
+
+    @property
+    def size(self) -> int:
+        """How many they are."""
+        return int(self.particles.sum() + self.vertices.sum())
+
+
+class Part(NamedTuple):
+    """A problem cut out of a larger one.
+
+    Attributes:
+        problem: of it; what is near but may not move is held and pinned.
+        particles: which of the whole they are.
+        vertices: which of the whole they are; empty without a membrane.
+    """
+
+    problem: Problem
+    particles: Int[np.ndarray, " p"]
+    vertices: Int[np.ndarray, " v"]
+
+    def put(self, nodes: Nodes, into: Nodes) -> Nodes:
+        """The positions of the whole with those of the part."""
+
+        def placed(
+            part: Array | None, whole: Array | None, index: np.ndarray
+        ) -> Array | None:
+            if part is None or whole is None:
+                return whole
+            rows = padded(index, part.shape[0], whole.shape[0])  # padding is dropped
+            return whole.at[jnp.asarray(rows)].set(part, mode="drop")
+
+        return Nodes(
+            placed(nodes.particles, into.particles, self.particles),
+            placed(nodes.vertices, into.vertices, self.vertices),
+        )
+
+
+def both(nodes: Nodes) -> tuple[Array | None, Array | None]:
+    """Both kinds."""
+    return nodes.particles, nodes.vertices
+
+
+def _near(
+    points: Float[np.ndarray, "n 3"] | None,
+    seeds: Float[np.ndarray, "k 3"],
+    radius: float,
+) -> Bool[np.ndarray, " n"]:
+    """Which points are within a radius of a seed."""
+    if points is None or len(seeds) == 0:
+        return np.zeros(0 if points is None else len(points), bool)
+    low, high = seeds.min(axis=0) - radius, seeds.max(axis=0) + radius
+    near = np.all((points >= low) & (points <= high), axis=1)
+    candidates = np.flatnonzero(near)
+    distance, _ = KDTree(seeds).query(
+        points[candidates], distance_upper_bound=radius, workers=1
+    )
+    near[candidates] = np.isfinite(distance)
+    return near
+
+
+def _points(problem: Problem) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Positions of all slots on the host; padding of vertices is far away."""
+    particles = vertices = None
+    if problem.particles is not None:
+        particles = get(problem.particles.position)
+    if problem.membrane is not None:
+        alive = get(problem.membrane.vertex_alive)
+        vertices = np.where(alive[:, None], get(problem.membrane.vertices), 1e9)
+    return particles, vertices
+
+
+def around(problem: Problem, some: Mask, radius: float) -> Mask:
+    """All nodes within a radius of some of them."""
+    points = _points(problem)
+    placed = zip(points, some, strict=True)
+    seeds = np.concatenate([rows[mask] for rows, mask in placed if rows is not None])
+    return Mask(*(_near(place, seeds, radius) for place in points))
+
+
+def cut(problem: Problem, moving: Mask) -> Part:
+    """The problem of some nodes, with everything around that acts on them."""
+    near = around(problem, moving, _span(problem) + MARGIN)
+    needed = int(near.particles.sum())
+    if problem.membrane is not None:
+        needed = max(needed, 2 * _vertices_needed(problem.membrane, near.vertices))
+    room = capacity_for(needed, _LEAST)
+    particles = membrane = load = None
+    if problem.particles is not None:
+        particles = _cut_particles(problem.particles, near, moving, room)
+    if problem.membrane is not None:
+        membrane = _cut_membrane(problem.membrane, near, moving, room // 2)
+    if problem.load is not None:
+        load = jnp.asarray(padded(get(problem.load)[near.vertices], room // 2))
+    return Part(
+        Problem(particles, membrane, problem.parameters, load),
+        np.flatnonzero(near.particles),
+        np.flatnonzero(near.vertices),
+    )
+
+
+def _span(problem: Problem) -> float:
+    """Distance, in r0, beyond which nodes do not act on each other."""
+    membrane = problem.membrane
+    if membrane is None:
+        return CUTOFF
+    ends = get(membrane.vertices)[get(membrane.edges)[get(membrane.edge_alive)]]
+    longest = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).max(initial=0.0)
+    return max(CUTOFF, get_number(reach(problem.parameters)) + longest)
+
+
+def _vertices_needed(membrane: Membrane, near: Bool[np.ndarray, " m"]) -> int:
+    """Room for the vertices, for half as many faces and a third as many edges."""
+    faces, _ = _within(membrane.faces, membrane.face_alive, near)
+    edges, _ = _within(membrane.edges, membrane.edge_alive, near)
+    return max(int(near.sum()), len(faces) // 2 + 1, len(edges) // 3 + 1)
+
+
+def _within(
+    corners: Int[Array, "f k"], alive: Bool[Array, " f"], near: Bool[np.ndarray, " m"]
+) -> tuple[Int[np.ndarray, " g"], Int[np.ndarray, "g k"]]:
+    """Which faces or edges have all of their vertices near, in new numbers."""
+    rows = get(corners)
+    chosen = np.flatnonzero(get(alive) & near[rows].all(axis=1))
+    number = np.cumsum(near) - 1
+    return chosen, number[rows[chosen]]
+
+
+def _cut_particles(
+    particles: Particles, near: Mask, moving: Mask, room: int
+) -> Particles:
+    chosen = near.particles
+    position = get(particles.position)[chosen]
+    padding = np.asarray(parked(room - len(position)), position.dtype)
+    return Particles(
+        position=jnp.asarray(np.concatenate([position, padding])),
+        species=jnp.asarray(padded(get(particles.species)[chosen], room)),
+        alive=jnp.asarray(padded(get(particles.alive)[chosen], room)),
+        held=jnp.asarray(padded(~moving.particles[chosen], room)),
+    )
+
+
+def _cut_membrane(membrane: Membrane, near: Mask, moving: Mask, room: int) -> Membrane:
+    chosen = near.vertices
+    _, faces = _within(membrane.faces, membrane.face_alive, chosen)
+    which, edges = _within(membrane.edges, membrane.edge_alive, chosen)
+    rest_length = get(membrane.rest_length)[which]
+
+    def put(array: np.ndarray, like: Array, size: int) -> Array:
+        return jnp.asarray(padded(array.astype(like.dtype), size))
+
+    return Membrane(
+        vertices=put(get(membrane.vertices)[chosen], membrane.vertices, room),
+        faces=put(faces, membrane.faces, 2 * room),
+        edges=put(edges, membrane.edges, 3 * room),
+        rest_length=put(rest_length, membrane.rest_length, 3 * room),
+        vertex_alive=jnp.asarray(np.arange(room) < chosen.sum()),
+        face_alive=jnp.asarray(np.arange(2 * room) < len(faces)),
+        edge_alive=jnp.asarray(np.arange(3 * room) < len(edges)),
+        pinned=jnp.asarray(padded(~moving.vertices[chosen], room)),
+        source=jnp.asarray(-1, membrane.source.dtype),
+    )

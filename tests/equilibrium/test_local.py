@@ -1,0 +1,195 @@
+"""Relaxing only what is disturbed: the same end, judged on everything."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxgrow as jg
+from jaxgrow.equilibrium import local
+from jaxgrow.equilibrium.listing import allocate_lists
+from jaxgrow.equilibrium.problem import Problem
+from jaxgrow.equilibrium.relax import relax
+from jaxgrow.planting import plant
+from jaxgrow.results import Result
+from jaxgrow.state import Species
+from jaxgrow.transfer import put_particles
+
+
+def residual(particles, membrane=None, load=None):
+    """Largest force on what is free, by lists made for where everything is."""
+    problem = Problem.of(particles, membrane, load=load)
+    force = problem.forces(problem.nodes(), allocate_lists(problem))
+    largest = [np.linalg.norm(np.asarray(force.particles), axis=1)[particles.free]]
+    if membrane is not None:
+        rows = np.linalg.norm(np.asarray(force.vertices), axis=1)
+        largest.append(rows[np.asarray(membrane.free)])
+    return np.concatenate(largest).max()
+
+
+@pytest.fixture(autouse=True)
+def large_parts(monkeypatch):
+    """Parts that would not pay, since what is tested is small."""
+    monkeypatch.setattr(local, "LARGEST_SHARE", 0.7)
+
+
+@pytest.fixture(scope="module")
+def ball():
+    """3000 particles in equilibrium, jittered first, with room for daughters."""
+    half = np.arange(-10, 11)
+    lattice = np.stack(np.meshgrid(half, half, half, indexing="ij"), -1).reshape(-1, 3)
+    lattice = lattice[lattice.sum(axis=1) % 2 == 0]
+    nearest = np.argsort((lattice**2).sum(axis=1), kind="stable")[:3000]
+    position = lattice[nearest] * 0.68
+    particles = put_particles(
+        position, np.full(3000, int(Species.TUMOUR)), np.zeros(3000, bool), 3072
+    )
+    outcome = relax(particles, tolerance=1e-6, method="lbfgs")
+    assert outcome.result is Result.CONVERGED
+    return outcome.state[0]
+
+
+def divided(particles, parent, slot=3000):
+    offset = jnp.array([0.3, 0.2, -0.35])
+    return eqx.tree_at(
+        lambda p: (p.position, p.alive, p.species),
+        particles,
+        (
+            particles.position.at[slot]
+            .set(particles.position[parent] + offset)
+            .at[parent]
+            .add(-offset),
+            particles.alive.at[slot].set(True),
+            particles.species.at[slot].set(int(Species.TUMOUR)),
+        ),
+    )
+
+
+@pytest.mark.parametrize("parent, tolerance", [(0, 1e-2), (0, 3e-3), (2990, 3e-3)])
+def test_a_division_moves_what_is_around_it_and_nothing_else(ball, parent, tolerance):
+    start = divided(ball, parent)
+    outcome = relax(start, tolerance=tolerance, method="local")
+    assert outcome.result is Result.CONVERGED
+    assert outcome.stats.method == "local"
+    end = outcome.state[0]
+    assert outcome.stats.residual <= tolerance
+    np.testing.assert_allclose(residual(end), outcome.stats.residual, rtol=1e-6)
+    still = np.all(np.asarray(end.position) == np.asarray(start.position), axis=1)
+    assert 0.3 * 3001 < still[:3001].sum() < 3001 - 100
+    # the same packing as when all may move
+    whole = relax(start, tolerance=tolerance, method="lbfgs").state[0]
+    apart = np.asarray(end.position - whole.position)[:3001]
+    assert np.linalg.norm(apart, axis=1).max() < 20 * tolerance
+
+
+def test_what_it_cannot_end_is_ended_on_the_whole(ball, monkeypatch):
+    monkeypatch.setattr(local, "LARGEST_SHARE", 0.5)
+    start = divided(ball, 0)
+    outcome = relax(start, tolerance=1e-5, method="local")
+    assert outcome.result is Result.CONVERGED
+    assert outcome.stats.method != "local"
+    assert residual(outcome.state[0]) <= 1e-5
+
+
+def test_a_disturbance_of_everything_is_relaxed_as_a_whole(ball):
+    moves = 0.05 * np.random.default_rng(0).normal(size=ball.position.shape)
+    moved = eqx.tree_at(lambda p: p.position, ball, ball.position + moves)
+    outcome = relax(moved, tolerance=1e-2, method="local")
+    assert outcome.result is Result.CONVERGED
+    assert outcome.stats.method == "lbfgs"
+
+
+def test_nothing_is_done_at_rest(ball):
+    outcome = relax(ball, tolerance=1e-3, method="local")
+    assert (outcome.stats.steps, outcome.stats.method) == (0, "local")
+    np.testing.assert_array_equal(outcome.state[0].position, ball.position)
+
+
+def test_auto_looks_for_the_part_where_there_are_many(ball, monkeypatch):
+    start = divided(ball, 0)
+    assert relax(start, tolerance=1e-2).stats.method == "lbfgs"
+    monkeypatch.setattr(local, "FEWEST", 3000)
+    assert relax(start, tolerance=1e-2).stats.method == "local"
+    seen = []
+    watched = relax(start, tolerance=1e-2, observe=seen.append, max_steps=2)
+    assert watched.stats.method != "local"
+    assert len(seen) > 0
+
+
+def test_forces_are_those_on_everything(ball):
+    outcome = relax(divided(ball, 0), tolerance=1e-2, method="local")
+    size = np.linalg.norm(np.asarray(outcome.forces.particles), axis=1)
+    np.testing.assert_allclose(size.max(), outcome.stats.residual)
+    assert np.count_nonzero(size) > 2900
+
+
+def test_coincident_particles_are_found_out_of_place(ball):
+    start = eqx.tree_at(
+        lambda p: p.position, ball, ball.position.at[7].set(ball.position[8])
+    )
+    outcome = relax(start, tolerance=1e-2, method="local")
+    assert outcome.result is Result.CONVERGED
+    gap = outcome.state[0].position[7] - outcome.state[0].position[8]
+    assert np.linalg.norm(gap) > 0.5
+
+
+@pytest.fixture(scope="module")
+def ground():
+    """A wide patch of an organ with its tissue."""
+    scene = jg.Scene(
+        lesion=jg.Polyp(divisions=5, particle_mm=1.0),
+        surroundings=jg.Surroundings(radius=11.0),
+    )
+    planted = plant(
+        scene, jg.Parameters(), tolerance=1e-4, rng=np.random.default_rng(0)
+    )
+    # its springs were reset since
+    state = planted.state
+    rested = relax(state.particles, state.membrane, tolerance=1e-4, method="lbfgs")
+    return jg.State(*rested.state, state.frame)
+
+
+def test_particles_and_membrane_rise_together_and_nothing_crosses(ground):
+    particles, membrane = ground.particles, ground.membrane
+    alive = np.asarray(particles.alive)
+    top = np.asarray(particles.position)[alive]
+    site = np.asarray(membrane.vertices)[int(membrane.source)]
+    parent = int(np.linalg.norm(top - site, axis=1).argmin())
+    start = divided(particles, parent, slot=int(alive.sum()))
+    outcome = relax(start, membrane, tolerance=1e-2, method="local")
+    assert outcome.result is Result.CONVERGED
+    assert outcome.stats.method == "local"
+    end, surface = outcome.state
+    assert residual(end, surface) <= 1e-2
+    still = np.all(np.asarray(surface.vertices == membrane.vertices), axis=1)
+    assert 3 < np.count_nonzero(~still) < 0.5 * len(still)
+    whole = relax(start, membrane, tolerance=1e-2, method="lbfgs").state
+    apart = np.asarray(end.position - whole[0].position)[alive]
+    assert np.linalg.norm(apart, axis=1).max() < 0.3
+    height = np.asarray(end.position)[alive, 2] - np.asarray(start.position)[alive, 2]
+    assert np.abs(height).max() < 1
+
+
+def test_a_load_and_what_is_held_are_kept(ground):
+    membrane = ground.membrane
+    load = jnp.zeros_like(membrane.vertices)
+    load = load.at[int(membrane.source)].set(jnp.array([0.0, 0.0, 0.05]))
+    outcome = relax(
+        ground.particles, membrane, load=load, tolerance=5e-3, method="local"
+    )
+    assert outcome.result is Result.CONVERGED
+    assert outcome.stats.method == "local"
+    assert residual(*outcome.state, load=load) <= 5e-3
+    moved = np.any(np.asarray(outcome.state[1].vertices != membrane.vertices), axis=1)
+    assert moved[int(membrane.source)]
+    assert not moved[~np.asarray(membrane.free)].any()
+    held = ~np.asarray(ground.particles.free)
+    same = np.asarray(outcome.state[0].position == ground.particles.position)
+    assert same[held].all()
+
+
+def test_it_is_for_what_is_neither_observed_nor_colliding(ball):
+    with pytest.raises(ValueError, match="'auto' is for everything"):
+        relax(ball, method="local", observe=lambda _: None)
+    with pytest.raises(ValueError, match="'auto' is for everything"):
+        relax(ball, method="local", collide=lambda *_: None)
