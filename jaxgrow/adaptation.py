@@ -15,8 +15,8 @@ from scipy.spatial import KDTree
 
 from jaxgrow.collisions import CollisionFinder
 from jaxgrow.energy.a2 import CUTOFF
-from jaxgrow.equilibrium.problem import Lists
-from jaxgrow.equilibrium.relax import LARGEST_STEP, relax, Relaxation
+from jaxgrow.equilibrium.problem import LARGEST_STEP, Lists
+from jaxgrow.equilibrium.relax import relax, Relaxation
 from jaxgrow.mesh.sheet import Walls
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result

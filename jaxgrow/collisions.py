@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxgrow.capacity import capacity_for
 from jaxgrow.energy.collision import Collisions, LOCAL
-from jaxgrow.equilibrium.relax import LARGEST_STEP
+from jaxgrow.equilibrium.problem import LEAST_LISTED
 from jaxgrow.mesh.proximity import closest_on_segments, closest_on_triangles
 from jaxgrow.mesh.sheet import Encounters, encounters, join, nearest_apart, Sheet, Walls
 from jaxgrow.mesh.surface import Surface
@@ -72,8 +72,7 @@ class CollisionFinder:
             vertices: of the membrane, with its padding.
             before: a list whose capacity is to be kept, or None.
         """
-        # a pair that is not listed must not meet within one step of both its parts
-        least = 2.5 * LARGEST_STEP
+        least = LEAST_LISTED
         sheet = self.sheet(get(vertices), self.collision_range + SKIN)
         found = encounters(
             sheet,
@@ -109,13 +108,15 @@ class CollisionFinder:
         n = sheet.n_surface
         still = sheet.vertices[n:]
 
-        def room(rows: np.ndarray, name: str, least: int) -> int:
+        def room(count: int, name: str, least: int) -> int:
             known = least if before is None else getattr(before, name).shape[0]
-            return capacity_for(len(rows), known)
+            return capacity_for(count, known)
 
-        n_still = room(still, "still", 64)
-        n_vertex = room(found.vertex, "vertex", LEAST_PAIRS)
-        n_edge = room(found.edges, "edges", 2 * LEAST_PAIRS)
+        n_still = room(len(still), "still", 64)
+        # twice as many pairs of edges, always: two sizes would be more compilations
+        pairs = max(len(found.vertex), -(-len(found.edges) // 2))
+        n_vertex = room(pairs, "vertex", LEAST_PAIRS)
+        n_edge = 2 * n_vertex
 
         def slot(index: np.ndarray) -> np.ndarray:
             return np.where(index < n, index, index - n + slots)
@@ -136,6 +137,7 @@ class CollisionFinder:
             reference=vertices,
             skin=jnp.asarray(SKIN, dtype),
             stale=jnp.zeros((), bool),
+            full=jnp.zeros((), bool),
         )
 
     def _margins(

@@ -43,6 +43,7 @@ from jaxgrow.energy.smooth_minimum import smooth_minimum
 from jaxgrow.numerics import farthest_two
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Membrane
+from jaxgrow.types import Scalar
 
 
 LOCAL = 3.0
@@ -69,7 +70,8 @@ class Collisions(eqx.Module):
         reference: vertices of the membrane when the list was made.
         skin: the list holds until the farthest moves of two vertices exceed it
             together, in r0.
-        stale: whether one has.
+        stale: whether they have.
+        full: whether it was too small; then it must not be used.
     """
 
     still: Float[Array, "s 3"]
@@ -82,11 +84,12 @@ class Collisions(eqx.Module):
     reference: Float[Array, "m 3"]
     skin: Float[Array, ""]
     stale: Bool[Array, ""]
+    full: Bool[Array, ""]
 
     def checked(self, vertices: Float[Array, "m 3"]) -> "Collisions":
         """The same list, knowing whether it still holds."""
         shift = farthest_two(vertices - self.reference)
-        return eqx.tree_at(lambda c: c.stale, self, shift > self.skin)
+        return eqx.tree_at(lambda c: c.stale, self, ~(shift <= self.skin))
 
     def distances(
         self, membrane: Membrane
@@ -99,6 +102,50 @@ class Collisions(eqx.Module):
             jnp.where(self.vertex_margin > 0, of_vertex, jnp.inf),
             jnp.where(self.edge_margin > 0, of_edge, jnp.inf),
         )
+
+
+def narrow_collisions(
+    wide: Collisions,
+    membrane: Membrane,
+    parameters: Parameters,
+    *,
+    least: Scalar,
+    skin: Scalar,
+    room: int,
+) -> Collisions:
+    """Those of a list that matter until two vertices have moved by a skin together.
+
+    Args:
+        wide: a list that holds.
+        membrane: where it is now.
+        parameters: whose ranges they are within.
+        least: distance, in r0, up to which pairs are listed in any case.
+        skin: extra distance, in r0.
+        room: for pairs of a vertex and a triangle, and for half of those of edges.
+    """
+    scale = parameters.collision_range
+    of_vertex, of_edge = wide.distances(membrane)
+    force = jnp.where(wide.apart, scale, scale * wide.vertex_margin)
+    near = of_vertex < jnp.maximum(force, least) + skin
+    (chosen,) = jnp.nonzero(near, size=room, fill_value=0)
+    real = jnp.arange(room) < jnp.sum(near)
+    near_edge = of_edge < jnp.maximum(scale * wide.edge_margin, least) + skin
+    (of_edges,) = jnp.nonzero(near_edge, size=2 * room, fill_value=0)
+    real_edge = jnp.arange(2 * room) < jnp.sum(near_edge)
+    last = membrane.vertices.shape[0] + wide.still.shape[0] - 1
+    return Collisions(
+        still=wide.still,
+        vertex=jnp.where(real, wide.vertex[chosen], last),
+        corners=wide.corners[chosen],
+        apart=wide.apart[chosen] & real,
+        vertex_margin=jnp.where(real, wide.vertex_margin[chosen], 0),
+        edges=wide.edges[of_edges],
+        edge_margin=jnp.where(real_edge, wide.edge_margin[of_edges], 0),
+        reference=membrane.vertices,
+        skin=jnp.asarray(skin, wide.skin.dtype),
+        stale=jnp.zeros((), bool),
+        full=wide.full | (jnp.sum(near) > room) | (jnp.sum(near_edge) > 2 * room),
+    )
 
 
 def _skewness(membrane: Membrane, collisions: Collisions) -> Float[Array, " q"]:

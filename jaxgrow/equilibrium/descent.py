@@ -220,14 +220,14 @@ def descend(
         Outgrown.nothing(),
     )
     now, lists, rebuilds = jax.lax.while_loop(
-        lambda at: unfinished(at[0]) & ~at[0].outgrown.collisions,
+        lambda at: unfinished(at[0]) & ~at[0].outgrown.of_host,
         relist,
         (start, lists, jnp.zeros((), int)),
     )
     return Descent(
         now.nodes,
         now.force,
-        lists.with_stale(unfinished(now) & now.outgrown.collisions),
+        lists.with_stale(unfinished(now) & now.outgrown.of_host),
         now.memory,
         now.residual,
         now.steps,

@@ -30,6 +30,7 @@ CollisionLister: TypeAlias = Callable[
 
 _LEAST_CONTACTS = 1024
 _LEAST_CANDIDATES = 4096
+_LEAST_COLLISIONS = 128
 
 _count_contacts = eqx.filter_jit(count_contacts)
 
@@ -51,6 +52,11 @@ def _narrow_contacts(
     capacity: int,
 ) -> Contacts:
     return narrow_contacts(wide, particles, membrane, radius, capacity)
+
+
+@eqx.filter_jit
+def _collisions(problem: Problem, found: Collisions, *, room: int) -> Collisions:
+    return problem.collisions(found, room)
 
 
 @eqx.filter_jit
@@ -94,7 +100,8 @@ def allocate_contacts(
             before.contacts,
             _LEAST_CONTACTS,
         )
-    return Lists(neighbors, contacts, candidates, before.collisions)
+    known = before.collisions, before.encounters
+    return Lists(neighbors, contacts, candidates, *known)
 
 
 def _fitting(
@@ -144,8 +151,21 @@ def prepared(problem: Problem, lists: Lists, collide: CollisionLister | None) ->
         now = allocate_lists(problem, now)
     if collide is None or problem.membrane is None:
         return now
-    found = collide(problem.membrane.vertices, lists.collisions)
-    return now.with_collisions(found)
+    found = collide(problem.membrane.vertices, lists.of_host)
+    near = _near_collisions(problem, found, lists.collisions)
+    return now.with_collisions(near, found)
+
+
+def _near_collisions(
+    problem: Problem, found: Collisions, before: Collisions | None
+) -> Collisions:
+    """What is near of the host's list, with room for it and for what was before."""
+    room = _LEAST_COLLISIONS
+    if before is not None:
+        room = capacity_for(before.vertex.shape[0] + bool(before.full), room)
+    while bool((made := _collisions(problem, found, room=room)).full):
+        room = capacity_for(room + 1, room)
+    return made
 
 
 def stale(lists: Lists) -> Lists:

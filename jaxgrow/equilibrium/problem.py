@@ -10,6 +10,7 @@ from jaxgrow.energy.collision import (
     collision_clearances,
     collision_energy,
     Collisions,
+    narrow_collisions,
 )
 from jaxgrow.energy.contact import (
     clearances,
@@ -35,6 +36,18 @@ CANDIDATE_SKIN = 0.9
 """Extra radius of the list that the contact list is found in."""
 
 
+LARGEST_STEP = 0.1
+"""Longest displacement of a node in one step, in r0."""
+
+LEAST_LISTED = 2.5 * LARGEST_STEP
+"""Distance, in r0, up to which parts of the membrane are listed in any case: what is
+not listed must not meet within one step of both."""
+
+COLLISION_SKIN = 0.1
+"""Extra distance of the collision list, in r0: it holds until the farthest moves of two
+vertices exceed it together."""
+
+
 class Lists(eqx.Module):
     """The lists of a problem, each only where it has the term.
 
@@ -42,13 +55,16 @@ class Lists(eqx.Module):
         neighbors: of particles.
         contacts: pairs of a particle and a triangle that the energy is computed from.
         candidates: more of them, in which those are found again.
-        collisions: of the membrane.
+        collisions: of the membrane, that the energy is computed from.
+        encounters: more of them, listed by the host, in which those are found again;
+            None where the host's are the energy's.
     """
 
     neighbors: nb.Neighbors | None
     contacts: Contacts | None
     candidates: Contacts | None = None
     collisions: Collisions | None = None
+    encounters: Collisions | None = None
 
     @property
     def overflow(self) -> Bool[Array, ""]:
@@ -60,42 +76,58 @@ class Lists(eqx.Module):
             full |= self.contacts.overflow
         if self.candidates is not None:
             full |= self.candidates.overflow
+        if self.collisions is not None:
+            full |= self.collisions.full
         return full
+
+    @property
+    def of_host(self) -> Collisions | None:
+        """The collisions that the host listed."""
+        return self.collisions if self.encounters is None else self.encounters
 
     @property
     def stale(self) -> Bool[Array, ""]:
         """Whether the host must list the collisions anew before the next step."""
-        if self.collisions is None:
+        if self.of_host is None:
             return jnp.zeros((), bool)
-        return self.collisions.stale
+        return self.of_host.stale
 
-    def with_collisions(self, collisions: Collisions | None) -> "Lists":
+    def with_collisions(
+        self, collisions: Collisions | None, encounters: Collisions | None = None
+    ) -> "Lists":
         """The same lists with others of the collisions."""
-        return Lists(self.neighbors, self.contacts, self.candidates, collisions)
+        known = self.neighbors, self.contacts, self.candidates
+        return Lists(*known, collisions, encounters)
 
     def with_stale(self, stale: Bool[Array, ""]) -> "Lists":
         """The same lists; whether the host must list the collisions anew."""
-        if self.collisions is None:
+        if self.of_host is None:
             return self
-        return eqx.tree_at(lambda lists: lists.collisions.stale, self, stale)
+        return eqx.tree_at(lambda lists: lists.of_host.stale, self, stale)
 
 
 class Outgrown(eqx.Module):
-    """Which lists do not hold where the nodes are."""
+    """Which lists do not hold where the nodes are.
+
+    Attributes:
+        neighbors, contacts, collisions: what is listed anew on the device.
+        of_host: the collisions that the host must list anew.
+    """
 
     neighbors: Bool[Array, ""]
     contacts: Bool[Array, ""]
     collisions: Bool[Array, ""]
+    of_host: Bool[Array, ""]
 
     @classmethod
     def nothing(cls) -> "Outgrown":
         """All of them hold."""
         no = jnp.zeros((), bool)
-        return cls(no, no, no)
+        return cls(no, no, no, no)
 
     def any(self) -> Bool[Array, ""]:
         """Whether one does not."""
-        return self.neighbors | self.contacts | self.collisions
+        return self.neighbors | self.contacts | self.collisions | self.of_host
 
 
 class Problem(eqx.Module):
@@ -243,16 +275,20 @@ class Problem(eqx.Module):
             moved = lists.contacts.moved(nodes.particles, nodes.vertices)
             stale = ~(moved <= CONTACT_SKIN)  # NaN too
             outgrown = eqx.tree_at(lambda o: o.contacts, outgrown, stale)
-        if lists.collisions is not None:
+        if lists.collisions is not None and lists.of_host is not None:
             assert nodes.vertices is not None
-            moved = lists.collisions.checked(nodes.vertices).stale
-            outgrown = eqx.tree_at(lambda o: o.collisions, outgrown, moved)
+            moved = tuple(
+                listed.checked(nodes.vertices).stale
+                for listed in (lists.collisions, lists.of_host)
+            )
+            outgrown = eqx.tree_at(lambda o: (o.collisions, o.of_host), outgrown, moved)
         return outgrown
 
     def rebuilt(self, nodes: Nodes, lists: Lists, outgrown: Outgrown) -> Lists:
         """The lists for these positions, those that do not hold there rebuilt.
 
-        Collisions are listed by the host; that they must be is noted.
+        Collisions are listed by the host, and those near now found in its list; that it
+        must make another is noted.
         """
         neighbors = lists.neighbors
         if neighbors is not None:
@@ -267,8 +303,29 @@ class Problem(eqx.Module):
                 contacts,
                 candidates,
             )
-        lists = Lists(neighbors, contacts, candidates, lists.collisions)
-        return lists.with_stale(outgrown.collisions)
+        collisions = lists.collisions
+        if lists.encounters is not None and collisions is not None:
+            room = collisions.vertex.shape[0]
+            wide = lists.encounters
+            collisions = jax.lax.cond(
+                outgrown.collisions,
+                lambda: self.at(nodes).collisions(wide, room),
+                lambda: collisions,
+            )
+        lists = Lists(neighbors, contacts, candidates, collisions, lists.encounters)
+        return lists.with_stale(outgrown.of_host)
+
+    def collisions(self, wide: Collisions, room: int) -> Collisions:
+        """What is near now of the host's list, in arrays of the given size."""
+        assert self.membrane is not None
+        return narrow_collisions(
+            wide,
+            self.membrane,
+            self.parameters,
+            least=LEAST_LISTED,
+            skin=COLLISION_SKIN,
+            room=room,
+        )
 
     def contacts(
         self, contacts: Contacts, candidates: Contacts

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from jaxgrow.equilibrium.implicit import at_equilibrium, is_differentiated, primal
 from jaxgrow.equilibrium.listing import allocate_lists, CollisionLister, fits
 from jaxgrow.equilibrium.local import may_pay, relax_locally
-from jaxgrow.equilibrium.problem import Lists, Problem
+from jaxgrow.equilibrium.problem import LARGEST_STEP, Lists, Problem
 from jaxgrow.equilibrium.stages import (
     exact_tolerance,
     Limits,
@@ -22,10 +22,6 @@ from jaxgrow.equilibrium.stages import (
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
 from jaxgrow.state import Membrane, Nodes, Particles
-
-
-LARGEST_STEP = 0.1
-"""Longest displacement of a node in one step, in r0."""
 
 
 class RelaxationStats(NamedTuple):

@@ -117,6 +117,7 @@ def all_pairs(membrane, margin=0.3):
         reference=membrane.vertices,
         skin=jnp.asarray(0.4, dtype),
         stale=jnp.zeros((), bool),
+        full=jnp.zeros((), bool),
     )
 
 

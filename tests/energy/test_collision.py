@@ -11,6 +11,7 @@ from jaxgrow.energy.collision import (
     collision_clearances,
     collision_energy,
     Collisions,
+    narrow_collisions,
     PARALLEL,
 )
 from jaxgrow.energy.distance import segment_distance, split
@@ -52,6 +53,7 @@ def pairs(vertices, *, vertex=(), edges=(), apart=True, margin=0.3, still=()):
         reference=jnp.asarray(vertices, float),
         skin=jnp.asarray(0.4),
         stale=jnp.zeros((), bool),
+        full=jnp.zeros((), bool),
     )
 
 
@@ -250,3 +252,61 @@ def test_list_is_stale_once_two_vertices_have_moved_by_its_skin_together(tangle)
             moved = membrane.vertices.at[4, 1].add(first * share * skin)
             moved = moved.at[2, 0].add((1 - first) * share * skin)
             assert bool(listed.checked(moved).stale) is stale
+
+
+def narrow(listed, membrane, room=256, skin=0.1):
+    return narrow_collisions(
+        listed, membrane, PARAMETERS, least=0.25, skin=skin, room=room
+    )
+
+
+@pytest.fixture
+def loose(tangle):
+    """The same over twice the size: some pairs are near, some are not."""
+    membrane, listed = tangle
+    vertices = 2 * membrane.vertices
+    return (
+        eqx.tree_at(lambda m: m.vertices, membrane, vertices),
+        eqx.tree_at(lambda c: c.reference, listed, vertices),
+    )
+
+
+def test_what_is_near_has_the_energy_and_the_forces_of_all_while_it_holds(loose):
+    membrane, listed = loose
+    near = narrow(listed, membrane)
+    assert not near.full
+    shorter = int((near.vertex_margin > 0).sum() + (near.edge_margin > 0).sum())
+    assert 4 < shorter < 0.9 * (len(listed.vertex) + len(listed.edges))
+    energy = jax.jit(jax.value_and_grad(collision_energy, allow_int=True))
+    rng = np.random.default_rng(1)
+    felt = 0
+    for _ in range(20):
+        step = rng.normal(size=membrane.vertices.shape)
+        step *= 0.0499 / np.linalg.norm(step, axis=1).max()
+        at = eqx.tree_at(
+            lambda m: m.vertices, membrane, membrane.vertices + jnp.asarray(step)
+        )
+        assert not near.checked(at.vertices).stale
+        (all_energy, of_all), (near_energy, of_near) = (
+            energy(at, lists, PARAMETERS) for lists in (listed, near)
+        )
+        np.testing.assert_allclose(near_energy, all_energy, rtol=1e-12)
+        np.testing.assert_allclose(of_near.vertices, of_all.vertices, atol=1e-11)
+        felt += np.abs(of_all.vertices).max() > 1e-3
+        # and so has the way that nothing may cross, for steps that are made
+        clear = [collision_clearances(at, lists) for lists in (listed, near)]
+        np.testing.assert_array_equal(*(np.minimum(c, 0.25) for c in clear))
+    assert felt > 10
+
+
+def test_a_list_without_room_says_so(loose):
+    membrane, listed = loose
+    assert narrow(listed, membrane, room=2).full
+    empty = narrow(listed, membrane, room=400)
+    assert np.all(np.asarray(empty.vertex)[-3:] == membrane.vertices.shape[0] - 1)
+    assert not np.any(np.asarray(empty.apart)[-3:])
+
+
+def test_a_move_to_nowhere_makes_a_list_stale(tangle):
+    membrane, listed = tangle
+    assert listed.checked(membrane.vertices.at[2, 0].set(jnp.nan)).stale
