@@ -40,16 +40,17 @@ class Lesion(_Model):
         particle_mm: r0, the distance at which two particles rest; the resolution.
             By default a fraction of the size (`particles_across`), or 1 mm.
         site: a named site of the organ, or x, y, z in mm near its surface.
-        divisions_per_step: how many particles are born before the next equilibrium.
-            The paper has one. With four a polyp of 24 divisions took 0.64 of the time;
-            its mean shape differed by less than four seeds can tell (15 % in height).
+        divisions_per_step: how many particles are born before the next equilibrium, 8
+            at most; fewer where there is no room for them. The paper has one. With four
+            a polyp of 24 divisions took 0.64 of the time; its mean shape differed by
+            less than four seeds can tell (15 % in height).
     """
 
     size_mm: Positive | None = None
     divisions: Annotated[int, pydantic.Field(ge=1)] | None = None
     particle_mm: Positive | None = None
     site: Site = SITE_DEFAULT
-    divisions_per_step: Annotated[int, pydantic.Field(ge=1)] = 1
+    divisions_per_step: Annotated[int, pydantic.Field(ge=1, le=8)] = 1
 
     @pydantic.model_validator(mode="after")
     def _one_end(self) -> "Lesion":

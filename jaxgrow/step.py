@@ -23,9 +23,9 @@ from jaxgrow.events import Event, Widening
 from jaxgrow.mesh.proximity import nearest_on_mesh
 from jaxgrow.organ import OrganError
 from jaxgrow.parameters import Parameters
-from jaxgrow.planting import Ground, meeting_distance, Planted, SPARE
+from jaxgrow.planting import Ground, HOLD, meeting_distance, Planted, SPARE
 from jaxgrow.results import Result
-from jaxgrow.scene import Myoma, Scene
+from jaxgrow.scene import Myoma, Polyp, Scene
 from jaxgrow.settling import (
     bound_on_quality,
     settle,
@@ -43,9 +43,10 @@ class Iteration:
 
     Attributes:
         step: after it; the one before it, if the result is not CONVERGED.
-        event: the discrete choices, if the result is CONVERGED.
+        event: the discrete choices, also of a step that failed; None if there is no
+            room for a division.
         settled: the equilibrium and the fairing, and how they were come to; None if
-            there is no room for a division.
+            there is no event.
         result: CONVERGED, or why there is no valid step.
         felt: how the patch's border feels the lesion; None without a patch.
     """
@@ -87,8 +88,11 @@ def iterate(
         tolerance: of the equilibrium, in F(0).
         rng: draws who divides, and where to.
         clock: counts the seconds.
-        count: number of divisions, at most as many as there are particles to divide.
+        count: number of divisions; fewer are made if there are fewer particles to
+            divide, or no room for so many.
     """
+    if step.ground is not None and isinstance(scene.lesion, Polyp):
+        count = min(count, _room(step.ground, parameters))
     with clock.phase("divide"):
         divisions = choose_divisions(scene, step.state, parameters, rng, count)
         if divisions is None:
@@ -103,6 +107,16 @@ def iterate(
             result = Result.PATCH_TOO_SMALL
     after = settled.step if result is Result.CONVERGED else step
     return Iteration(after, event, settled, result, felt)
+
+
+DEEPEST = 0.5
+"""Share of the free layer of tissue under a polyp in which its particles are born."""
+
+
+def _room(ground: Ground, parameters: Parameters) -> int:
+    """How many particles a polyp has room for at once, one below the other."""
+    deepest = DEEPEST * (ground.thickness - HOLD)
+    return max(1, int(deepest / get_number(parameters.daughter_offset)))
 
 
 def _feeling(step: Step, settled: Settled, parameters: Parameters) -> Feeling:
@@ -241,7 +255,10 @@ def choose_divisions(
     rng: np.random.Generator,
     count: int = 1,
 ) -> tuple[Division, ...] | None:
-    """Who divides, and where to; None if every way leads out of the tissue."""
+    """Who divides, and where to; None if every way leads out of the tissue.
+
+    They are fewer than `count` where a further daughter would have no place.
+    """
     slot = int(get(state.particles.alive).sum())
     if isinstance(scene.lesion, Myoma):
         return _draw(state, slot, rng, count)
@@ -252,9 +269,9 @@ def choose_divisions(
         place = get(_daughter_of_source(state.membrane, far, parameters))
         division = choose_polyp(surface, slot + depth - 1, place, depth)
         if division is None:
-            return None
+            break
         divisions.append(division)
-    return tuple(divisions)
+    return tuple(divisions) or None
 
 
 _daughter_of_source = eqx.filter_jit(daughter_of_source)

@@ -148,6 +148,10 @@ def test_file_that_is_no_toml_is_refused(write):
         ),
         ("[lesion]\nkind = 'polyp'\ndivisions = 0", r"lesion\.divisions is 0: "),
         ("[lesion]\nkind = 'polyp'\ndivisions = 1.5", r"lesion\.divisions is 1\.5: "),
+        (
+            "[lesion]\nkind = 'polyp'\ndivisions_per_step = 9",
+            r"lesion\.divisions_per_step is 9: .* less than or equal to 8",
+        ),
         ("[lesion]\nkind = 'wart'", "lesion.*'polyp', 'myoma'"),
         ("[lesion]\nsize_mm = 3.0", "lesion.*kind"),
         ("[lesion]\nkind = 'polyp'\ndepth_mm = 3.0", r"lesion\.depth_mm is unknown"),

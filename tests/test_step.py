@@ -22,7 +22,7 @@ from jaxgrow.results import Result
 from jaxgrow.scene import Myoma, Polyp, Scene, Surroundings
 from jaxgrow.settling import bound_on_quality, LEAST_QUALITY, Step
 from jaxgrow.state import Species
-from jaxgrow.step import iterate
+from jaxgrow.step import choose_divisions, iterate
 from jaxgrow.transfer import get, get_surface
 
 
@@ -61,6 +61,53 @@ def test_usual_iteration_needs_no_mending(usual):
     assert usual.result is Result.CONVERGED
     assert usual.settled.mended == {}
     assert usual.felt.place is None
+
+
+@pytest.mark.parametrize(
+    "offset, thickness, wanted", [(0.3, 3.0, 3), (0.1, 3.0, 8), (0.1, 1.05, 1)]
+)
+def test_particles_born_at_once_stay_in_the_upper_half_of_the_free_layer(
+    planted, monkeypatch, offset, thickness, wanted
+):
+    chosen = []
+    layer = replace(planted.ground, thickness=thickness)
+
+    def choose(*args):
+        chosen.append(choose_divisions(*args))
+
+    monkeypatch.setattr(step, "choose_divisions", choose)
+    parameters = jax.tree.map(jnp.asarray, Parameters(daughter_offset=offset))
+    rng = np.random.default_rng(1)
+    thin = replace(planted, ground=layer)
+    iterate(SMALL, thin, parameters, TOLERANCE, rng, Clock(), 8)
+    assert [division.depth for division in chosen[0]] == list(range(1, wanted + 1))
+
+
+@pytest.mark.parametrize("places, depths", [(8, [1, 2, 3]), (2, [1, 2]), (0, None)])
+def test_daughters_that_have_a_place_are_born_without_the_others(
+    planted, monkeypatch, places, depths
+):
+    real = step.choose_polyp
+
+    def choose(surface, slot, place, depth):
+        return real(surface, slot, place, depth) if depth <= places else None
+
+    monkeypatch.setattr(step, "choose_polyp", choose)
+    parameters, rng = Parameters(), np.random.default_rng(1)
+    found = choose_divisions(SMALL, planted.state, parameters, rng, 3)
+    assert (found and [division.depth for division in found]) == depths
+
+
+def test_failed_iteration_has_its_choices_and_its_equilibrium(planted, monkeypatch):
+    found = one(replace(planted, least_quality=1.0))
+    assert found.result is Result.SLIVER
+    assert found.event is not None
+    assert found.settled is not None
+    monkeypatch.setattr(step, "choose_polyp", lambda *_: None)
+    nowhere = one(planted)
+    assert nowhere.result is Result.ON_MEMBRANE
+    assert nowhere.event is None
+    assert nowhere.settled is None
 
 
 def inside_out(surface):
