@@ -49,9 +49,10 @@ def grow(
 ) -> Growth:
     """Grow a lesion until it has the size, or the number of divisions, asked for.
 
-    Every iteration makes the paper's steps in its order: one tumour particle divides,
-    tissue and surface come to equilibrium (here together, see `jaxgrow.relax`), the
-    surface is faired, and its springs get their current length as new rest length.
+    Every iteration makes the paper's steps in its order: one tumour particle divides
+    (or several, see `Lesion.divisions_per_step`), tissue and surface come to
+    equilibrium (here together, see `jaxgrow.relax`), the surface is faired, and its
+    springs get their current length as new rest length.
 
     What goes wrong is mended where it can be: an equilibrium that is not found, or
     that threw particles out, is tried again from its start with shorter steps; lists
@@ -85,7 +86,7 @@ def grow(
             that of the growth whose events are replayed.
         max_divisions: bound on the divisions, for a size that is never reached.
         max_seconds: bound on the time; checked between divisions.
-        progress: called after every division.
+        progress: called after every iteration.
         events: of a growth to replay; then seed and bounds do not matter. Record it at
             `tolerance=1e-10` if you replay it with other parameters.
 
@@ -165,7 +166,7 @@ def _grow(
     clock: Clock,
     progress: Callable[[Progress], None] | None,
 ) -> tuple[Step, Events, list[dict[str, Any]]]:
-    """The last step, the choices with the result, and a record of every division."""
+    """The last step, the choices with the result, and a record of every iteration."""
     rng = np.random.default_rng(seed)
     with clock.phase("plant"):
         planted = plant(scene, parameters, tolerance=tolerance, rng=rng)
@@ -188,19 +189,19 @@ def _grow(
         count = min(scene.lesion.divisions_per_step, left - divisions)
         made = iterate(scene, step, parameters, tolerance, rng, clock, count)
         step, result = made.step, made.result
-        if made.settled is None:
+        if made.event is None or made.settled is None:
             break
-        if made.event is not None and result is Result.CONVERGED:
+        if result is Result.CONVERGED:
             events.append(made.event)
             with clock.phase("measure"):
                 size = size_of(scene, step.state) * scene.r0_mm
         elif result is Result.STEP_LIMIT and _stagnates(history, STAGNATION // 2):
             result = Result.CAVITY_FULL
-        born = 1 if made.event is None else len(made.event.divisions)
-        record = make_record(divisions + born, size, step.state, made.settled, clock)
+        divisions += len(made.event.divisions)
+        record = make_record(divisions, size, step.state, made.settled, clock)
         add_feeling(record, made.felt)
         record["result"] = made.result.name
-        if made.event is not None and made.event.redirected:
+        if made.event.redirected:
             record["mended"]["daughter_redirected"] = 1
         place = _tight_place(scene, made, history)
         if place is not None:
@@ -274,7 +275,7 @@ def end_of(
         return Result.REACHED
     if divisions >= max_divisions:
         return Result.DIVISION_LIMIT
-    window = max(STAGNATION, len(history) // 4)
+    window = max(STAGNATION, divisions // 4)
     if target is not None and _stagnates(history, window):
         return Result.CAVITY_FULL
     return Result.CONVERGED
@@ -285,9 +286,10 @@ def _stagnates(history: list[dict[str, Any]], window: int) -> bool:
 
     A quarter more particles enlarge a free lesion by 7 % in diameter at least.
     """
-    if len(history) <= window:
+    former = history[-1]["division"] - window if history else 0
+    before = [r["size_mm"] for r in history if r["division"] <= former]
+    if not before:
         return False
-    recent = history[-window:]
-    before = max(record["size_mm"] for record in history[:-window])
-    stuck = max(record["size_mm"] for record in recent) <= ENLARGING * before
+    recent = history[len(before) :]
+    stuck = max(record["size_mm"] for record in recent) <= ENLARGING * max(before)
     return stuck and all(record.get("colliding") for record in recent)

@@ -53,7 +53,8 @@ class Growth:
         result: why it ended.
         size_mm: largest diameter of the lesion.
         events: the discrete choices of every step; `jaxgrow.grow` can replay them.
-        history: one record a division: size, steps, residual, counts, seconds, …
+        history: one record an iteration, with the number of its last division, size,
+            steps, residual, counts, seconds, …
         seconds: by phase.
         compilations: number of programs compiled.
         ground: the organ around it; None for a free cluster.

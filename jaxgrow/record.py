@@ -1,4 +1,4 @@
-"""What is written about one division, and what a progress bar is told."""
+"""What is written about one iteration, and what a progress bar is told."""
 
 from typing import Any
 
@@ -14,10 +14,10 @@ from jaxgrow.transfer import get
 def make_record(
     division: int, size_mm: float, state: State, settled: Settled, clock: Clock
 ) -> dict[str, Any]:
-    """The record of a division, without what the border of the patch felt.
+    """The record of an iteration, without what the border of the patch felt.
 
     Args:
-        division: its number.
+        division: number of its last division.
         size_mm: of the lesion after it.
         state: after it; the one before it, if it failed.
         settled: how it ended.

@@ -266,8 +266,11 @@ def test_time_limit_that_is_not_positive_is_refused(seconds):
         free(max_seconds=seconds)
 
 
-def records(sizes, colliding=True):
-    return [{"size_mm": size, "colliding": colliding} for size in sizes]
+def records(sizes, colliding=True, each=1):
+    return [
+        {"division": number * each, "size_mm": size, "colliding": colliding}
+        for number, size in enumerate(sizes, 1)
+    ]
 
 
 def test_cavity_is_full_when_divisions_against_a_wall_hardly_enlarge():
@@ -282,6 +285,17 @@ def test_cavity_is_full_when_divisions_against_a_wall_hardly_enlarge():
     ):
         past = records(sizes, colliding)
         assert end_of(scene, 7.0, len(past), past, 3000) is wanted
+
+
+def test_divisions_against_a_wall_are_counted_not_their_iterations():
+    scene = Scene(lesion=Polyp(size_mm=10.0, divisions_per_step=4))
+    growing, stuck = [float(x) for x in np.linspace(1, 7, 45)], [7.1] * STAGNATION
+    for several, wanted in (
+        (STAGNATION // 4, Result.CAVITY_FULL),
+        (STAGNATION // 4 - 1, Result.CONVERGED),
+    ):
+        past = records([*growing, *stuck[:several]], each=4)
+        assert end_of(scene, 7.0, 4 * len(past), past, 3000) is wanted
 
 
 def test_divisions_asked_for_are_not_a_size():

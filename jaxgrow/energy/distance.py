@@ -198,7 +198,7 @@ def closest_shares(
 
 
 def _between(s: Float[Array, "*p"], t: Float[Array, "*p"], *ends: Columns) -> Columns:
-    """Columns from the share t of the second segment to the share s of the first."""
+    """Vector from the share t of the second segment to the share s of the first."""
     a, b, c, d = ends
     return _minus(_at((1 - s, s), a, b), _at((1 - t, t), c, d))
 
