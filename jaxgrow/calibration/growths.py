@@ -19,7 +19,7 @@ from jaxgrow.growth import Growth
 from jaxgrow.metrics import shape_metrics
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
-from jaxgrow.scene import Scene
+from jaxgrow.scene import Lesion, Scene
 
 
 FORMAT = 1
@@ -228,6 +228,7 @@ def read_fit(file: Path, request: dict[str, Any]) -> dict[str, Any]:
     content = _read(file)
     # as JSON gives it back: lists for tuples
     found, wanted = content["request"], json.loads(json.dumps(request))
+    found = _with_later_entries(found, wanted)
     asked, asking = ({**each, "versions": None} for each in (found, wanted))
     other = _first_difference(asked, asking)
     if other is not None:
@@ -237,6 +238,24 @@ def read_fit(file: Path, request: dict[str, Any]) -> dict[str, Any]:
         )
     _check_versions(file.parent, found.get("versions", {}), wanted.get("versions", {}))
     return content
+
+
+_LATER = ("divisions_per_step",)
+"""Entries of a lesion that the first files do not have; they had its default."""
+
+
+def _with_later_entries(
+    found: dict[str, Any], wanted: dict[str, Any]
+) -> dict[str, Any]:
+    """A kept request with the entries that there were none of when it was written."""
+    scene = found.get("scene")
+    if not (isinstance(scene, dict) and isinstance(scene.get("lesion"), dict)):
+        return found
+    default = {name: Lesion.model_fields[name].default for name in _LATER}
+    entries = {**default, **scene["lesion"]}
+    order = [name for name in wanted["scene"]["lesion"] if name in entries]
+    lesion = {name: entries.pop(name) for name in order} | entries
+    return {**found, "scene": {**scene, "lesion": lesion}}
 
 
 def _read(file: Path) -> dict[str, Any]:

@@ -157,6 +157,37 @@ def test_growths_of_other_versions_are_refused(whole, formula):
     )
 
 
+def written_before_steps_had_several_divisions(folder):
+    """Take the entry of that out of a fit's file."""
+    request = change(folder)["request"]
+    lesion = request["scene"]["lesion"]
+    assert lesion.pop("divisions_per_step") == 1
+    change(folder, request=request)
+
+
+def test_a_file_from_before_a_step_had_several_divisions_goes_on(whole, formula):
+    before = outcome(whole)
+    written_before_steps_had_several_divisions(whole)
+    again = formula(0.3)
+    run(again, whole)
+    assert again.asked == []
+    assert outcome(whole) == before
+
+
+def test_a_file_from_before_a_step_had_several_divisions_had_one(whole, formula):
+    written_before_steps_had_several_divisions(whole)
+    scene = Scene(lesion=Polyp(divisions_per_step=2))
+    with pytest.raises(FitError, match=r"another .*divisions_per_step; give"):
+        fit(scene, TARGETS, BOUNDS, grower=formula(), folder=whole)
+
+
+@pytest.mark.parametrize("request_of", [{}, {"scene": 3}, {"scene": {"lesion": 3}}])
+def test_a_request_without_a_lesion_is_another_one(request_of, whole, formula):
+    change(whole, request=request_of)
+    with pytest.raises(FitError, match="holds a fit with another"):
+        run(formula(), whole)
+
+
 def test_what_only_draws_may_have_another_version(whole, formula):
     request = change(whole)["request"]
     assert not {"pillow", "embreex"} & set(request["versions"])
