@@ -40,35 +40,48 @@ _MAPPED = Path("/proc/self/maps")
 _MOST_MAPPED = Path("/proc/sys/vm/max_map_count")
 
 
+_left = 0
+"""Regions that this process still mapped when programs were last dropped."""
+
+
 def forget_compiled(share: float = 0.5) -> bool:
     """Drop compiled programs if they use up what Linux lets a process map.
 
     A program maps three regions of memory for each of its loops, a relaxation a
     thousand. At the limit (usually 65 530) XLA aborts, or crashes later, when an
     exception is unwound. What is needed again is compiled again, or loaded from the
-    cache on disk; derivatives that are being taken go on.
+    cache on disk; derivatives that are being taken go on. What is still mapped after
+    that, by other libraries or programs in use, is no reason to do it again.
 
     Args:
-        share: of the limit that must be exceeded.
+        share: of the limit that must be exceeded, both without what was left last time.
 
     Returns:
         Whether they were dropped. Never, where there are no such files.
     """
+    global _left
     if not (_MAPPED.exists() and _MOST_MAPPED.exists()):
         return False
-    mapped = _MAPPED.read_bytes().count(b"\n")
-    if mapped <= share * int(_MOST_MAPPED.read_text()):
+    mapped, limit = _mapped(), int(_MOST_MAPPED.read_text())
+    _left = min(_left, mapped)
+    if mapped - _left <= share * max(limit - _left, 0):
         return False
     jax.clear_caches()
     gc.collect()
+    _left = _mapped()
     return True
 
 
+def _mapped() -> int:
+    """Regions of memory that this process maps."""
+    return _MAPPED.read_bytes().count(b"\n")
+
+
 _OFTEN = 16
-"""Divisions from one look to the next, which takes some milliseconds."""
+"""Iterations from one look to the next, which takes some milliseconds."""
 
 
-def forget_now_and_then(divisions: int) -> None:
-    """`forget_compiled` before the first division, and before some later ones."""
-    if divisions % _OFTEN == 0:
+def forget_now_and_then(iterations: int) -> None:
+    """`forget_compiled` before the first iteration, and before some later ones."""
+    if iterations % _OFTEN == 0:
         forget_compiled()

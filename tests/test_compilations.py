@@ -63,11 +63,33 @@ def test_programs_are_forgotten_when_they_map_too_much(monkeypatch, tmp_path):
     assert mapped_by(program) == 0
     limit = tmp_path / "max_map_count"
     monkeypatch.setattr(compilations, "_MOST_MAPPED", limit)
+    monkeypatch.setattr(compilations, "_left", 0)
     limit.write_text("100000000\n")
     assert not forget_compiled()
     limit.write_text("10\n")
     assert forget_compiled()
     assert mapped_by(program) > 0
+
+
+def test_what_forgetting_does_not_free_is_no_reason_to_repeat_it(monkeypatch, tmp_path):
+    maps, limit = tmp_path / "maps", tmp_path / "max_map_count"
+    limit.write_text("100\n")
+    monkeypatch.setattr(compilations, "_MAPPED", maps)
+    monkeypatch.setattr(compilations, "_MOST_MAPPED", limit)
+    monkeypatch.setattr(compilations, "_left", 0)
+    monkeypatch.setattr(jax, "clear_caches", lambda: None)
+    for mapped, forgets in (
+        (50, False),
+        (60, True),
+        (60, False),
+        (80, False),  # 60 and half of what they leave
+        (81, True),
+        (20, False),
+        (60, False),  # 20 and half of what they leave
+        (61, True),
+    ):
+        maps.write_text(mapped * "region\n")
+        assert forget_compiled() is forgets
 
 
 def test_nothing_is_forgotten_where_no_limit_is_known(monkeypatch, tmp_path):
