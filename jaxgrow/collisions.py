@@ -17,7 +17,7 @@ from jaxgrow.state import Membrane
 from jaxgrow.transfer import get, get_number, get_surface, padded
 
 
-SKIN = 0.4
+SKIN = 0.7
 """Extra distance, in r0, up to which pairs are listed. With 0.25 there are a quarter of
 them, but the host lists them anew twice as often, which takes more time."""
 

@@ -125,12 +125,12 @@ def relax(
         membrane: or None for particles alone; then no membrane term is compiled.
         parameters: of the energy; the default `Parameters()`.
         tolerance: largest force on a free node at the end, in F(0).
-        method: "lbfgs", "fire", "newton" (only from near an equilibrium), "euler" and
-            "serial" (the paper's eq. 1, all at once or in serial order, which is for
-            particles alone), or "auto": L-BFGS, which Newton's method ends where the
-            tolerance is below 1e-4, then FIRE if they do not converge; "local": the
-            same after relaxing what is disturbed by itself, larger and larger, which
-            "auto" does too where there are thousands of nodes.
+        method: "lbfgs", "fire", "newton" (within a trust region, so from anywhere),
+            "euler" and "serial" (the paper's eq. 1, all at once or in serial order,
+            which is for particles alone), or "auto": L-BFGS, which Newton's method ends
+            where the tolerance is below 1e-4, then FIRE if they do not converge;
+            "local": the same after relaxing what is disturbed by itself, larger and
+            larger, which "auto" does too where there are many thousands of nodes.
         max_steps: bound on the steps of each method.
         largest_step: longest displacement of a node in one step, in r0.
         load: external force on every vertex, in F(0).
@@ -138,8 +138,8 @@ def relax(
         collide: lists what the membrane may collide with (see
             `jaxgrow.collisions.CollisionFinder`); None if it can collide with nothing,
             and then no collision term is compiled.
-        observe: called with the positions after every single step, which makes the
-            relaxation several times slower.
+        observe: called with the positions after every single step (by Newton's methods
+            only with the last ones), which makes the relaxation several times slower.
 
     Returns:
         state, result, stats and lists. When the result is not CONVERGED the state is

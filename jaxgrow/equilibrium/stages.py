@@ -15,6 +15,7 @@ from jaxgrow.equilibrium.listing import allocate_lists, CollisionLister, prepare
 from jaxgrow.equilibrium.newton import polish
 from jaxgrow.equilibrium.problem import Lists, Problem
 from jaxgrow.equilibrium.serial import sweep
+from jaxgrow.equilibrium.trust import descend_by_trust
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
 from jaxgrow.state import Nodes
@@ -29,6 +30,7 @@ POLISHED = 1e-4
 _descend = eqx.filter_jit(descend)
 _polish = eqx.filter_jit(polish)
 _sweep = eqx.filter_jit(sweep)
+_descend_by_trust = eqx.filter_jit(descend_by_trust)
 _blank_memory = eqx.filter_jit(blank_memory)
 
 
@@ -117,18 +119,23 @@ def run_stage(
         lists = prepared(problem, lists, collide)
         tolerance = jnp.asarray(limits.tolerance, problem.dtype)
         largest = jnp.asarray(limits.largest_step, problem.dtype)
+        left = limits.max_steps - steps
+        most = jnp.asarray(left if observe is None else 1)
         if stage.name == "serial":
-            most = jnp.asarray(limits.max_steps - steps)
             outcome = _sweep(problem, lists, tolerance, most, largest)
             made = int(outcome.steps)
+            rebuilds += int(outcome.rebuilds)
+        elif stage.name == "newton" and not stage.polishes:
+            most = jnp.asarray(left)
+            outcome = _descend_by_trust(problem, lists, tolerance, most, largest)
+            made = int(outcome.products)
             rebuilds += int(outcome.rebuilds)
         elif minimiser is None:
             outcome = _polish(problem, lists, tolerance, largest)
             made = int(outcome.products)
         else:
-            most = limits.max_steps - steps if observe is None else 1
             outcome = _descend(
-                problem, lists, minimiser, tolerance, jnp.asarray(most), largest, memory
+                problem, lists, minimiser, tolerance, most, largest, memory
             )
             made, memory = int(outcome.steps), outcome.memory
             rebuilds += int(outcome.rebuilds)
@@ -137,7 +144,7 @@ def run_stage(
         if observe is not None and made:
             observe(outcome.nodes)
         result = Result.of(int(outcome.code))
-        single = observe is not None and minimiser is not None
+        single = observe is not None and stage.name != "newton"
         paused = single or bool(lists.stale)
         if result is Result.OVERFLOW:
             overflows += 1
