@@ -1,22 +1,28 @@
 """Speed against error: every row is a ratio in one run on one machine, with its error.
 
     python experiments/speed_error.py --quick             # under three minutes
-    python experiments/speed_error.py                     # all, in full
+    python experiments/speed_error.py                     # all rows and curves, in full
     python experiments/speed_error.py --only pair-force-10k memory
     python experiments/speed_error.py --device cuda
-    python experiments/speed_error.py --only --curves tolerance skin
+    python experiments/speed_error.py --curves tolerance skin
+    python experiments/speed_error.py --figures           # draw what was measured
 
-Contenders are measured in turns (A B A B), five times at least (in quick mode what
-takes long three times), with one thread each; ratios are medians over the repetitions,
-with their quartiles. The yardsticks are those of `experiments/baselines.py`. Figures,
-hardware and versions go to ``experiments/results/speed_error.json`` (to
-``speed_error_cuda.json`` for a GPU); rows that are not measured again stay there if
-they are of the same machine and versions. Where other work runs on the machine, look at
-the ratios of processor seconds too.
+It needs the extra "speed": pip install -e '.[speed]'.
 
-A row is a function of `ROWS` that takes the options and yields one `Row` or more. The
-points of work-precision curves are made of the axes in `speed.curves`; without names,
-``--curves`` makes all of them.
+Contenders are measured in turns (A B A B), five times at least (whole lesions, and in
+quick mode what takes long, three times), with one thread each; ratios are medians over
+the repetitions, with their quartiles. The yardsticks are those of
+`experiments/baselines.py`. Figures, hardware and versions go to
+``experiments/results/speed_error.json``, the table of rows to ``speed_error.md`` beside
+it, and pictures to ``speed_error_*.png`` (`speed.figures`); for a GPU the names begin
+with ``speed_error_cuda``. Rows that are not measured again stay there if they are of
+the same machine and versions. Where other work runs on the machine, look at the ratios
+of processor seconds too.
+
+A row is a function of `ROWS` that takes the options and yields one `Row` or more; a
+curve is one of `CURVES` that yields its points. Without names, ``--only`` makes all
+rows and ``--curves`` all curves (in quick mode those of `QUICK_ROWS` and
+`QUICK_CURVES`); with one of both options, nothing else is made.
 """
 
 import argparse
@@ -24,12 +30,23 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from speed import ensemble_rows, force_rows, growth_rows, memory, relaxation_rows
+from speed import (
+    ensemble_rows,
+    figures,
+    force_rows,
+    growth_rows,
+    lesion_rows,
+    memory,
+    relaxation_rows,
+)
 from speed.curves import AXES, work_precision
 from speed.measure import circumstances, configure, load, Options, Row
+from speed.polyp_curves import POLYP_AXES
+from speed.table import as_markdown
 
 
 PATIENCE = 15.0
@@ -46,8 +63,22 @@ ROWS: dict[str, Callable[[Options], Iterator[Row]]] = {
     "grow": growth_rows.grow_free,
     "divisions-per-step": ensemble_rows.divisions_per_step,
     "ensemble": ensemble_rows.ensemble,
+    "polyp-200": lesion_rows.polyp_200,
+    "myoma-300": lesion_rows.myoma_300,
+    "organ-1e5": lesion_rows.organ_1e5,
     "memory": memory.memory,
 }
+
+CURVES: dict[str, Callable[[Options], Iterator[dict[str, Any]]]] = {
+    **{axis: partial(work_precision, axis) for axis in AXES},
+    **POLYP_AXES,
+}
+
+QUICK_ROWS = [name for name in ROWS if name not in ("myoma-300", "organ-1e5")]
+"""Rows of quick mode, if none is named."""
+
+QUICK_CURVES = ["tolerance"]
+"""Curves of quick mode, if none is named."""
 
 
 class Report:
@@ -74,25 +105,61 @@ class Report:
         self._path.parent.mkdir(exist_ok=True)
         self._path.write_text(json.dumps(self._content, indent=1) + "\n")
 
+    def draw(self) -> None:
+        """Write the table and the pictures of all that is there."""
+        publish(self._content, self._path)
+
+
+def publish(content: dict[str, Any], path: Path) -> None:
+    """Write the table and the pictures.
+
+    Args:
+        content: of the file of figures.
+        path: of that file; the others get its name.
+    """
+    path.with_suffix(".md").write_text(as_markdown(content) + "\n")
+    for picture in figures.draw(content, path):
+        print(f"drawn: {picture}")
+
 
 def describe(point: dict[str, Any]) -> str:
     """A point of a curve in a line."""
     errors = point["errors"]
     return (
-        f"{point['axis']:10} {point['relaxer']:14} tolerance {point['tolerance']:.0e} "
-        f"smoothing {point['smoothing']:g} {point['dtype']} skin {point['skin']:g}: "
+        f"{point['axis']:17} {point['relaxer']:14} tolerance {point['tolerance']:.0e} "
+        f"smoothing {point['smoothing']:g} {point['dtype']} skin {point['skin']:g} "
+        f"sharpness {point['sharpness']:g}: "
         f"{point['seconds']['median']:.3g} s, residual {errors['residual']:.1e}, "
         f"position {errors['position_rms']:.1e}, "
         f"energy {errors['energy_relative']:.1e} {point['result']}"
     )
 
 
+def chosen(given: argparse.Namespace) -> tuple[list[str], list[str]]:
+    """Names of the rows and of the curves to measure."""
+    rows = QUICK_ROWS if given.quick else list(ROWS)
+    curves = QUICK_CURVES if given.quick else list(CURVES)
+    if given.only is None and given.curves is None:
+        return rows, curves
+    return (
+        [] if given.only is None else given.only or rows,
+        [] if given.curves is None else given.curves or curves,
+    )
+
+
 def main() -> None:
-    """Measure the rows, print and write each."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    """Measure rows and curves, print and write each; then the table and pictures."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--quick", action="store_true", help="under three minutes")
-    parser.add_argument("--only", nargs="*", choices=ROWS, metavar="NAME", help="rows")
-    parser.add_argument("--curves", nargs="*", choices=AXES, metavar="AXIS")
+    parser.add_argument(
+        "--only", nargs="*", choices=ROWS, metavar="NAME", help=", ".join(ROWS)
+    )
+    parser.add_argument(
+        "--curves", nargs="*", choices=CURVES, metavar="AXIS", help=", ".join(CURVES)
+    )
+    parser.add_argument("--figures", action="store_true", help="measure nothing, draw")
     parser.add_argument("--device", default="cpu", help="platform of jax: cpu, cuda")
     parser.add_argument("--threads", type=int, default=1, help="of XLA; 0 for all")
     parser.add_argument("--repetitions", type=int, default=5)
@@ -104,24 +171,30 @@ def main() -> None:
         threads=given.threads,
         patience=PATIENCE if given.quick else math.inf,
     )
-    configure(options)
     suffix = "" if options.device == "cpu" else f"_{options.device}"
     path = RESULTS / f"speed_error{suffix}.json"
+    if given.figures:
+        publish(json.loads(path.read_text()), path)
+        return
+    configure(options)
     report = Report(path, circumstances(options))
     begin = time.perf_counter()
-    for name in ROWS if given.only is None else given.only:
+    rows, curves = chosen(given)
+    for name in rows:
         start, busy = time.perf_counter(), load()
         for row in ROWS[name](options):
             spent = time.perf_counter() - start
             print(row, flush=True)
             more = {"quick": options.quick, "load": busy, "seconds_in_all": spent}
             report.add("rows", row.name, {**row.as_entries(), **more})
-    axes = given.curves if given.curves else AXES
-    for axis in axes if given.curves is not None else ():
-        points = list(work_precision(axis, options))
+    for axis in curves:
+        start = time.perf_counter()
+        points = list(CURVES[axis](options))
         for point in points:
             print(describe(point), flush=True)
+        print(f"{axis}: {time.perf_counter() - start:.0f} s in all")
         report.add("curves", axis, points)
+    report.draw()
     print(f"{time.perf_counter() - begin:.0f} s; figures in {path}")
 
 

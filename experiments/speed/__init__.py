@@ -1,7 +1,17 @@
-"""Yardsticks and rows of the report on speed against error.
+"""Yardsticks, rows and curves of the report on speed against error.
 
 The yardsticks (`pairs`, `contact`, `lbfgs`, `fire`) are what others would run: plain
-numba loops on one thread, and jax-md as it comes. The rows measure jaxgrow against
-them; `experiments/baselines.py` checks the yardsticks, `experiments/speed_error.py`
-runs the rows.
+numba loops on one thread, and jax-md as it comes. The rows and curves measure jaxgrow
+against them; `experiments/baselines.py` checks the yardsticks,
+`experiments/speed_error.py` measures, and draws what it measured (`figures`, `table`).
 """
+
+import sys
+from importlib.util import find_spec
+
+
+if missing := [name for name in ("numba", "matplotlib") if find_spec(name) is None]:
+    sys.exit(
+        f"{' and '.join(missing)} cannot be imported: install the extra of these "
+        "experiments with pip install -e '.[speed]'"
+    )

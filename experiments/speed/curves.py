@@ -23,7 +23,7 @@ from jaxgrow.neighbors import SKIN
 from jaxgrow.transfer import get
 
 from .errors import errors_of
-from .fire import FIRE
+from .fire import FIRE, SKIN as SKIN_OF_JAX_MD
 from .lbfgs import relax_lbfgs
 from .measure import measure_in_turns, Options, spread
 from .scenes import dense_ball, particles_of
@@ -42,6 +42,7 @@ class Setting:
         smoothing: of the law, in r0.
         dtype: of the positions.
         skin: extra radius of the lists, in r0.
+        sharpness: of the smooth minimum over triangles, where there is a membrane.
     """
 
     relaxer: str = "jaxgrow auto"
@@ -49,6 +50,7 @@ class Setting:
     smoothing: float = 0.1
     dtype: Literal["float64", "float32"] = "float64"
     skin: float = SKIN
+    sharpness: float = jg.Parameters.contact_sharpness
 
 
 def jaxgrow(method: Method) -> Callable[[Setting, Points], Callable[[int], Any]]:
@@ -98,8 +100,8 @@ def numba_lbfgs(setting: Setting, start: Points) -> Callable[[int], Any]:
 
 def jax_md_fire(setting: Setting, start: Points) -> Callable[[int], Any]:
     """jax-md as it comes."""
-    if setting.dtype != "float64" or setting.skin != SKIN:
-        raise ValueError(f"jax-md is measured in 64 bits with a skin of {SKIN}.")
+    if setting.dtype != "float64" or setting.skin != SKIN_OF_JAX_MD:
+        raise ValueError(f"jax-md has 64 bits and a skin of {SKIN_OF_JAX_MD}.")
     extent = float(start.min()), float(start.max())
     fire = FIRE(start, extent, smoothing=setting.smoothing)
     neighbours = fire.listed(start)
@@ -114,11 +116,16 @@ RELAXERS: dict[str, Callable[[Setting, Points], Callable[[int], Any]]] = {
     "jax-md fire": jax_md_fire,
 }
 
+SKINS = {"numba lbfgs": 0.4, "jax-md fire": SKIN_OF_JAX_MD}
+"""Of the yardsticks as they come, in r0."""
+
 TOLERANCES = tuple(10.0**-k for k in range(1, 9))
 
 AXES: dict[str, list[Setting]] = {
     "tolerance": [
-        Setting(relaxer=name, tolerance=t) for name in RELAXERS for t in TOLERANCES
+        Setting(relaxer=name, tolerance=t, skin=SKINS.get(name, SKIN))
+        for name in RELAXERS
+        for t in TOLERANCES
     ],
     "smoothing": [
         replace(Setting(tolerance=1e-6), smoothing=s)

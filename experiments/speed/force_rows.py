@@ -22,7 +22,7 @@ SAMPLE = 300
 
 
 @eqx.filter_jit
-def _forces(problem: Problem, lists: Lists) -> Any:
+def forces(problem: Problem, lists: Lists) -> Any:
     """What the relaxation of jaxgrow evaluates in every step."""
     return problem.forces(problem.nodes(), lists)
 
@@ -40,7 +40,7 @@ def pair_force(options: Options, count: int) -> Iterator[Row]:
         return pair_forces(position, start, index, out=out)
 
     measured = measure_in_turns(
-        {"jaxgrow": lambda _: _forces(problem, lists), "numba": numba},
+        {"jaxgrow": lambda _: forces(problem, lists), "numba": numba},
         options,
     )
     found = get(measured.outcomes["jaxgrow"][-1].particles)
@@ -85,7 +85,7 @@ def contact_force(options: Options) -> Iterator[Row]:
     exact, smooth = scene.loop(smooth=False), scene.loop(smooth=True)
     measured = measure_in_turns(
         {
-            "jaxgrow": lambda _: _forces(scene.problem, scene.lists),
+            "jaxgrow": lambda _: forces(scene.problem, scene.lists),
             "numba": lambda _: exact(),
             "numba, smooth minimum": lambda _: smooth(),
         },

@@ -228,18 +228,40 @@ def scene_of(
     )
 
 
-def polyp(divisions: int) -> Scene:
-    """A polyp on the built-in uterus after that many divisions, its springs reset.
-
-    Living particles are moved by 0.01 r0, so that forces are those of a relaxation and
-    not the tolerance of its end.
-    """
+def grown_polyp(divisions: int) -> jg.Growth:
+    """A polyp on the built-in uterus after that many divisions, its springs reset."""
     wanted = jg.Polyp(divisions=divisions, particle_mm=1.0)
-    growth = jg.grow(jg.Scene(lesion=wanted))
-    state = growth.state
+    return jg.grow(jg.Scene(lesion=wanted))
+
+
+def moved(state: jg.State, size: float) -> jg.State:
+    """A state in which everything that is free has moved a little.
+
+    Args:
+        state: of a lesion on a membrane.
+        size: standard deviation of the change of a coordinate, in r0.
+    """
+    rng = np.random.default_rng(0)
     assert state.membrane is not None
-    moves = np.random.default_rng(0).normal(size=state.particles.position.shape)
-    moves *= 0.01 * get(state.particles.free)[:, None]
-    position = state.particles.position + jnp.asarray(moves)
-    particles = eqx.tree_at(lambda p: p.position, state.particles, position)
-    return scene_of(particles, state.membrane, growth.scene.parameters)
+
+    def away(at: jax.Array, free: jax.Array) -> jax.Array:
+        return at + size * jnp.asarray(rng.normal(size=at.shape)) * free[:, None]
+
+    position = away(state.particles.position, state.particles.free)
+    vertices = away(state.membrane.vertices, state.membrane.free)
+    return eqx.tree_at(
+        lambda s: (s.particles.position, s.membrane.vertices),
+        state,
+        (position, vertices),
+    )
+
+
+def polyp(divisions: int) -> Scene:
+    """A polyp whose particles and vertices are moved by 0.01 r0.
+
+    Forces are then those of a relaxation, not the tolerance of its end.
+    """
+    growth = grown_polyp(divisions)
+    state = moved(growth.state, 0.01)
+    assert state.membrane is not None
+    return scene_of(state.particles, state.membrane, growth.scene.parameters)
