@@ -16,8 +16,9 @@ the repetitions, with their quartiles. The yardsticks are those of
 ``experiments/results/speed_error.json``, the table of rows to ``speed_error.md`` beside
 it, and pictures to ``speed_error_*.png`` (`speed.figures`); for a GPU the names begin
 with ``speed_error_cuda``. Rows that are not measured again stay there if they are of
-the same machine and versions. Where other work runs on the machine, look at the ratios
-of processor seconds too.
+the same machine and versions. What fails is named there with its reason, and the exit
+status is 1 then; the rest is measured all the same. Where other work runs on the
+machine, look at the ratios of processor seconds too.
 
 A row is a function of `ROWS` that takes the options and yields one `Row` or more; a
 curve is one of `CURVES` that yields its points. Without names, ``--only`` makes all
@@ -28,7 +29,9 @@ rows and ``--curves`` all curves (in quick mode those of `QUICK_ROWS` and
 import argparse
 import json
 import math
+import sys
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -91,7 +94,7 @@ class Report:
 
     def __init__(self, path: Path, circumstances: dict[str, Any]) -> None:
         self._path = path
-        measured: dict[str, Any] = {"rows": {}, "curves": {}}
+        measured: dict[str, Any] = {"rows": {}, "curves": {}, "failures": {}}
         if path.exists():
             before = json.loads(path.read_text())
             kept = {part: before.pop(part, {}) for part in measured}
@@ -104,6 +107,10 @@ class Report:
         self._content[part][name] = figures
         self._path.parent.mkdir(exist_ok=True)
         self._path.write_text(json.dumps(self._content, indent=1) + "\n")
+
+    def remove(self, part: str, name: str) -> None:
+        """Forget a row, a curve or a failure, if it is there."""
+        self._content[part].pop(name, None)
 
     def draw(self) -> None:
         """Write the table and the pictures of all that is there."""
@@ -147,6 +154,26 @@ def chosen(given: argparse.Namespace) -> tuple[list[str], list[str]]:
     )
 
 
+def measure_row(name: str, options: Options, report: Report) -> None:
+    """Measure rows of a name; print and write each."""
+    start, busy = time.perf_counter(), load()
+    for row in ROWS[name](options):
+        spent = time.perf_counter() - start
+        print(row, flush=True)
+        more = {"quick": options.quick, "load": busy, "seconds_in_all": spent}
+        report.add("rows", row.name, {**row.as_entries(), **more})
+
+
+def measure_curve(axis: str, options: Options, report: Report) -> None:
+    """Measure a curve, print its points and write them."""
+    start = time.perf_counter()
+    points = list(CURVES[axis](options))
+    for point in points:
+        print(describe(point), flush=True)
+    print(f"{axis}: {time.perf_counter() - start:.0f} s in all", flush=True)
+    report.add("curves", axis, points)
+
+
 def main() -> None:
     """Measure rows and curves, print and write each; then the table and pictures."""
     parser = argparse.ArgumentParser(
@@ -180,22 +207,25 @@ def main() -> None:
     report = Report(path, circumstances(options))
     begin = time.perf_counter()
     rows, curves = chosen(given)
-    for name in rows:
-        start, busy = time.perf_counter(), load()
-        for row in ROWS[name](options):
-            spent = time.perf_counter() - start
-            print(row, flush=True)
-            more = {"quick": options.quick, "load": busy, "seconds_in_all": spent}
-            report.add("rows", row.name, {**row.as_entries(), **more})
-    for axis in curves:
-        start = time.perf_counter()
-        points = list(CURVES[axis](options))
-        for point in points:
-            print(describe(point), flush=True)
-        print(f"{axis}: {time.perf_counter() - start:.0f} s in all")
-        report.add("curves", axis, points)
+    measure = {
+        **{name: partial(measure_row, name, options, report) for name in rows},
+        **{axis: partial(measure_curve, axis, options, report) for axis in curves},
+    }
+    failed = []
+    for name, call in measure.items():
+        report.remove("failures", name)
+        try:
+            call()
+        # what one of them runs into, such as too little memory, is not the others'
+        except Exception as error:
+            failed.append(name)
+            why = (str(error).strip().splitlines() or [type(error).__name__])[0]
+            report.add("failures", name, f"{type(error).__name__}: {why}")
+            traceback.print_exc()
     report.draw()
     print(f"{time.perf_counter() - begin:.0f} s; figures in {path}")
+    if failed:
+        sys.exit(f"not measured: {', '.join(failed)}")
 
 
 if __name__ == "__main__":

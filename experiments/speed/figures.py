@@ -15,6 +15,7 @@ import matplotlib as mpl
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
+from matplotlib.ticker import LogLocator, NullFormatter
 
 
 Point = dict[str, Any]
@@ -120,6 +121,14 @@ def plot(axes: Axes, points: list[Point], error: str, label: str, style: str) ->
     )
 
 
+def label_decades(axes: Axes) -> None:
+    """Ticks along x at 1, 2 and 5 of every decade, in plain numbers."""
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.tick_params(axis="x", labelsize=8)
+
+
 def finish(figure: Any, grid: Any) -> None:
     """Grid lines, and one legend above all panels."""
     labels: dict[str, Any] = {}
@@ -155,6 +164,7 @@ def draw_precision(content: dict[str, Any]) -> Any:
             for method, all_ in by(points, "relaxer").items():
                 plot(axes, all_, error, method, STYLES.get(method, "ko-"))
             axes.set(xlabel="seconds", ylabel=title)
+            label_decades(axes)
         row[0].set_title(f"{what}, {points[0]['particles']} particles", loc="left")
     finish(figure, grid.flat)
     return figure
@@ -308,6 +318,7 @@ def draw_ratios(content: dict[str, Any]) -> Any:
         texts.append(text)
     axes.axvline(1.0, color="k", lw=0.8)
     axes.set_xscale("log")
+    label_decades(axes)
     axes.set_yticks(range(len(rows)), [row["name"] for row in rows])
     axes.set_ylim(-0.6, len(rows) - 0.4)
     axes.set_xlabel("median [quartiles] over the bar; left of the line it is reached")

@@ -31,7 +31,12 @@ def as_markdown(content: dict[str, Any]) -> str:
             errors_of(row["errors"]),
         ]
         lines.append("| " + " | ".join(cell.replace("|", "/") for cell in cells) + " |")
-    return "\n".join([*lines, "", machine_of(content)])
+    failures = [
+        f"- **{name}** could not be measured: {why}"
+        for name, why in content.get("failures", {}).items()
+    ]
+    gap = [""] if failures else []
+    return "\n".join([*lines, *gap, *failures, "", machine_of(content)])
 
 
 def ratio_of(row: dict[str, Any]) -> str:
