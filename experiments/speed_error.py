@@ -77,8 +77,15 @@ CURVES: dict[str, Callable[[Options], Iterator[dict[str, Any]]]] = {
     **POLYP_AXES,
 }
 
-QUICK_ROWS = [name for name in ROWS if name not in ("myoma-300", "organ-1e5")]
-"""Rows of quick mode, if none is named."""
+QUICK_ROWS = [
+    "pair-force-10k",
+    "pair-force-100k",
+    "contact-force",
+    "grow",
+    "polyp-200",
+    "memory",
+]
+"""Rows of quick mode, if none is named: those that take seconds."""
 
 QUICK_CURVES = ["tolerance"]
 """Curves of quick mode, if none is named."""

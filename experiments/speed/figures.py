@@ -113,7 +113,7 @@ def plot(axes: Axes, points: list[Point], error: str, label: str, style: str) ->
     axes.plot(
         [x[k] for k in failed],
         [y[k] for k in failed],
-        line.get_marker(),
+        str(line.get_marker()),
         ms=4,
         mfc="white",
         mec=line.get_color(),

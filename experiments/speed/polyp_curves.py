@@ -61,7 +61,9 @@ class Reference(NamedTuple):
 
 def at_end(state: jg.State, end: jg.Relaxation) -> jg.State:
     """The state with particles and membrane of a relaxation's end."""
-    return jg.State(*end.state, state.frame)
+    particles, membrane = end.state
+    assert particles is not None
+    return jg.State(particles, membrane, state.frame)
 
 
 def settled(state: jg.State, parameters: jg.Parameters) -> Reference:
@@ -99,16 +101,13 @@ def errors_against(state: jg.State, reference: Reference) -> dict[str, Any]:
     Positions are in r0, of what is free; energies are of the reference's law, relative;
     metrics are relative where they are not 0.
     """
-    assert state.membrane is not None
-    assert reference.state.membrane is not None
-    free, loose = get(state.particles.free), get(state.membrane.free)
     there = reference.state
-    apart = {
-        "position": (get(state.particles.position) - get(there.particles.position))[
-            free
-        ],
-        "vertex": (get(state.membrane.vertices) - get(there.membrane.vertices))[loose],
-    }
+    assert state.membrane is not None
+    assert there.membrane is not None
+    free, loose = get(state.particles.free), get(state.membrane.free)
+    moves = get(state.particles.position) - get(there.particles.position)
+    shifts = get(state.membrane.vertices) - get(there.membrane.vertices)
+    apart = {"position": moves[free], "vertex": shifts[loose]}
     errors: dict[str, Any] = {"residual_of_reference": reference.residual}
     for name, move in apart.items():
         length = np.linalg.norm(move, axis=1)
