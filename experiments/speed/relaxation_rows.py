@@ -9,6 +9,7 @@ from jaxtyping import Float
 import jaxgrow as jg
 from jaxgrow.equilibrium.listing import allocate_lists
 from jaxgrow.equilibrium.problem import Problem
+from jaxgrow.equilibrium.stages import Method
 from jaxgrow.transfer import get
 
 from .errors import errors_of, residual
@@ -89,6 +90,7 @@ def division(options: Options) -> Iterator[Row]:
         ball, size = resting_ball(count), f"{count // 1000}k"
         starts = [divided(ball, k) for k in range(options.repetitions)]
         contenders[f"jaxgrow, {size}"] = Divisions(starts, tolerance)
+        contenders[f"jaxgrow whole, {size}"] = Divisions(starts, tolerance, "lbfgs")
         contenders[f"numba, {size}"] = lambda k, starts=starts: relax_lbfgs(
             starts[k], tolerance=tolerance
         )
@@ -99,13 +101,28 @@ def division(options: Options) -> Iterator[Row]:
         positions = [get(e.state[0].position) if own else e.position for e in ends]
         errors[name] = {"residual": max(map(residual, positions))}
         steps[name] = [e.stats.steps if own else e.evaluations for e in ends]
+    shared: dict[str, Any] = {
+        "errors": errors,
+        "details": {"tolerance": tolerance, "steps": steps},
+    }
     yield Row(
         "division-100k-over-10k",
         "one division, to 1e-4 over all particles: 100k over 10k",
         **measured.compare(*[f"jaxgrow, {n // 1000}k" for n in reversed(SIZES)]),
         bar=1.5,
-        errors=errors,
-        details={"tolerance": tolerance, "steps": steps},
+        **shared,
+    )
+    yield Row(
+        "division-100k-local",
+        "one division at 100k, to 1e-4 over all particles: by parts over the whole",
+        **measured.compare("jaxgrow, 100k", "jaxgrow whole, 100k"),
+        **shared,
+    )
+    yield Row(
+        "division-100k-over-numba",
+        "one division at 100k, to 1e-4 over all particles: jaxgrow over numba L-BFGS",
+        **measured.compare("jaxgrow, 100k", "numba, 100k"),
+        **shared,
     )
 
 
@@ -115,18 +132,25 @@ class Divisions:
     Args:
         starts: positions after each, in r0.
         tolerance: in F(0).
+        method: of `jaxgrow.relax`.
     """
 
     def __init__(
-        self, starts: list[Float[np.ndarray, "n 3"]], tolerance: float
+        self,
+        starts: list[Float[np.ndarray, "n 3"]],
+        tolerance: float,
+        method: Method = "auto",
     ) -> None:
         self._starts = [particles_of(start) for start in starts]
         self._tolerance = tolerance
+        self._method: Method = method
         self._lists = allocate_lists(Problem.of(self._starts[0], None))
 
     def __call__(self, repetition: int) -> jg.Relaxation:
         """The equilibrium after one of them."""
         start = self._starts[repetition]
-        end = jg.relax(start, tolerance=self._tolerance, lists=self._lists)
+        end = jg.relax(
+            start, tolerance=self._tolerance, method=self._method, lists=self._lists
+        )
         self._lists = end.lists
         return end

@@ -16,6 +16,7 @@ from jaxgrow.equilibrium.stages import (
     exact_tolerance,
     Limits,
     Method,
+    NEAR,
     run_stage,
     stages_of,
 )
@@ -128,7 +129,7 @@ def relax(
         method: "lbfgs", "fire", "newton" (within a trust region, so from anywhere),
             "euler" and "serial" (the paper's eq. 1, all at once or in serial order,
             which is for particles alone), or "auto": L-BFGS, which Newton's method ends
-            where the tolerance is below 1e-4, then FIRE if they do not converge;
+            where the tolerance is below 1e-6, then FIRE if they do not converge;
             "local": the same after relaxing what is disturbed by itself, larger and
             larger, which "auto" does too where there are many thousands of nodes.
         max_steps: bound on the steps of each method.
@@ -189,7 +190,7 @@ def relax(
             found = run_stage(problem, lists, stage, limits, collide, observe)
         problem, lists, forces = problem.at(found.nodes), found.lists, found.force
         result = found.result
-        near |= result is Result.CONVERGED
+        near |= found.residual <= NEAR
         stats = RelaxationStats(
             found.residual,
             stats.steps + found.steps,
