@@ -1,10 +1,15 @@
 """Several growths side by side, each in a process of its own."""
 
+import operator
 import os
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import as_completed, Future, ProcessPoolExecutor
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import as_completed, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from multiprocessing import get_context
+from multiprocessing.synchronize import Event
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -20,6 +25,8 @@ from jaxgrow.scene import Scene
 
 _SETTINGS = (
     "jax_enable_x64",
+    "jax_platforms",
+    "jax_default_matmul_precision",
     "jax_compilation_cache_dir",
     "jax_persistent_cache_min_compile_time_secs",
     "jax_persistent_cache_min_entry_size_bytes",
@@ -48,9 +55,14 @@ def grow_many(
     four of 24 divisions 24 s and 14 s.
 
     Processes import the script that started them anew, as always with Python's
-    `multiprocessing`: put what is not to be repeated under ``if __name__ ==
-    "__main__":``. Notebooks need nothing. On an accelerator, which they would have to
-    share, members are grown one after the other in this process.
+    `multiprocessing`. So it must be a file, with what is not to be repeated under a
+    guard; notebooks need none::
+
+        if __name__ == "__main__":
+            lesions = jg.grow_many(scene, seeds=range(8))
+
+    On an accelerator, which they would have to share, members are grown one after the
+    other in this process. What a member or `finished` raises ends all members at once.
 
     Args:
         scene: what to grow, and where.
@@ -65,12 +77,18 @@ def grow_many(
         The growths, in the order of the seeds.
 
     Raises:
-        ValueError: there is not one set of parameters for each seed, a number of
-            processes is not positive, or a derivative is asked for (take it of `grow`).
+        TypeError: a seed or the number of processes is not a whole number, or an option
+            is none of these.
+        ValueError: there is not one set of parameters for each seed, the number of
+            processes is not positive, a derivative is asked for (take it of `grow`), or
+            `grow` raises it.
         OrganError: the organ or the site cannot be used.
-        RuntimeError: a process was ended from outside, mostly for want of memory.
+        RuntimeError: a process was ended from outside, mostly for want of memory, or
+            none could start because the script has no guard, or is no file.
     """
-    seeds = [int(seed) for seed in seeds]
+    seeds = [_whole(seed, "a seed") for seed in seeds]
+    if is_differentiated(scene.parameters):
+        raise ValueError(_NO_DERIVATIVE)
     each = _one_for_each(seeds, parameters)
     unknown = set(options) - {"tolerance", "max_divisions", "max_seconds"}
     if unknown:
@@ -80,21 +98,43 @@ def grow_many(
         )
     if processes is None:
         processes = _cores() if jax.default_backend() == "cpu" else 1
+    processes = _whole(processes, "processes")
     if processes < 1:
         raise ValueError(f"processes is {processes}; it must be at least 1.")
     members = list(zip(seeds, each, strict=True))
     if min(processes, len(members)) <= 1:
         return tuple(_told(_grow(scene, *m, options), finished) for m in members)
+    context = get_context("spawn")
+    started = context.Event()
     pool = ProcessPoolExecutor(
-        min(processes, len(members)), get_context("spawn"), _prepare, (_settings(),)
+        min(processes, len(members)), context, _prepare, (_settings(), started)
     )
     try:
-        running = [pool.submit(_grow, scene, *member, options) for member in members]
+        with _quiet():
+            running = [pool.submit(_grow, scene, *m, options) for m in members]
         for member in as_completed(running):
-            _told(_answer(member), finished)
-        return tuple(_answer(member) for member in running)
-    finally:
-        pool.shutdown(cancel_futures=True)
+            _told(member.result(), finished)
+        grown = tuple(member.result() for member in running)
+    except BaseException as error:
+        _end(pool)
+        if isinstance(error, BrokenProcessPool):
+            raise RuntimeError(_why_broken(started)) from error
+        raise
+    pool.shutdown()
+    return grown
+
+
+_NO_DERIVATIVE = (
+    "a derivative does not go through grow_many; take that of grow, seed by seed."
+)
+
+
+def _whole(number: Any, what: str) -> int:
+    """A whole number, of Python or NumPy."""
+    try:
+        return operator.index(number)
+    except TypeError as error:
+        raise TypeError(f"{what} is {number!r}; give a whole number.") from error
 
 
 def _one_for_each(
@@ -112,10 +152,7 @@ def _one_for_each(
             "all, or one for each."
         )
     if any(is_differentiated(one) for one in given):
-        raise ValueError(
-            "a derivative does not go through grow_many; take that of grow, seed by "
-            "seed."
-        )
+        raise ValueError(_NO_DERIVATIVE)
     return [numbers(one) for one in given]
 
 
@@ -131,14 +168,57 @@ def _told(growth: Growth, finished: Callable[[Growth], None] | None) -> Growth:
     return growth
 
 
-def _answer(member: Future[Growth]) -> Growth:
+_LOG_LEVEL = "TF_CPP_MIN_LOG_LEVEL"
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Processes that start in the block leave out what XLA says of its cache.
+
+    Where nobody has chosen a level, importing JAX has set it to 1, which shows that.
+    """
+    own = os.environ.get(_LOG_LEVEL)
+    if own in (None, "1"):
+        os.environ[_LOG_LEVEL] = "3"
     try:
-        return member.result()
-    except BrokenProcessPool as error:
-        raise RuntimeError(
+        yield
+    finally:
+        if own is None:
+            os.environ.pop(_LOG_LEVEL, None)
+        else:
+            os.environ[_LOG_LEVEL] = own
+
+
+def _end(pool: ProcessPoolExecutor) -> None:
+    """End the processes of a pool without waiting for their members.
+
+    To be ``pool.terminate_workers()`` once Python 3.14 is the oldest that is supported.
+    """
+    processes = list((pool._processes or {}).values())
+    pool.shutdown(wait=False, cancel_futures=True)
+    for process in processes:
+        process.terminate()
+    for process in processes:
+        process.join()
+
+
+def _why_broken(started: Event) -> str:
+    """The sentence for a process that is gone; `started` is set if one ever worked."""
+    if started.is_set():
+        return (
             "a process of grow_many ended without an answer, mostly for want of "
             "memory; ask for fewer processes."
-        ) from error
+        )
+    script = getattr(sys.modules["__main__"], "__file__", None)
+    if script is not None and not Path(script).exists():
+        return (
+            "no process of grow_many could start, because each imports the script "
+            f"anew, and {script} is no file; write the script to one."
+        )
+    return (
+        "no process of grow_many could start, because each imports the script anew; "
+        'call grow_many under if __name__ == "__main__": there.'
+    )
 
 
 def _cores() -> int:
@@ -159,8 +239,9 @@ def _settings() -> dict[str, Any]:
     return settings
 
 
-def _prepare(settings: dict[str, Any]) -> None:
+def _prepare(settings: dict[str, Any], started: Event) -> None:
     """Set a process up, before it computes anything."""
+    started.set()
     os.environ["NPROC"] = "1"  # threads of XLA
     for name, value in settings.items():
         jax.config.update(name, value)

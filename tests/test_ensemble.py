@@ -1,5 +1,7 @@
 """Several growths side by side: the same as one after the other."""
 
+import inspect
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -45,6 +47,53 @@ def test_members_are_those_of_the_seeds_in_their_order(members):
         assert growth.tolerance == 1e-4
 
 
+SETUP = """
+import jax; jax.config.update("jax_enable_x64", True)
+from jaxgrow import ensemble, Myoma, Scene
+scene = Scene(organ=None, lesion=Myoma(divisions=6))
+"""
+
+
+def run(code, *arguments, given=None, **environment):
+    """Run a script, a file or what is given to standard input."""
+    env = {k: v for k, v in os.environ.items() if k != "TF_CPP_MIN_LOG_LEVEL"}
+    return subprocess.run(
+        [sys.executable, code, *arguments],
+        input=given,
+        env={**env, **environment},
+        text=True,
+        capture_output=True,
+        check=False,
+        timeout=240,
+    )
+
+
+@pytest.fixture
+def script(tmp_path):
+    def _script(code):
+        path = tmp_path / "script.py"
+        path.write_text(SETUP + code, encoding="utf-8")
+        return path
+
+    return _script
+
+
+def test_member_is_bit_for_bit_that_of_a_process_with_one_thread(
+    members, script, tmp_path
+):
+    code = """
+import sys
+import numpy as np
+growth = ensemble.grow(scene, seed=1, tolerance=1e-4)
+np.save(sys.argv[1], np.asarray(growth.state.particles.position))
+"""
+    done = run(script(code), tmp_path / "alone.npy", NPROC="1")
+    assert done.returncode == 0, done.stderr
+    np.testing.assert_array_equal(
+        positions(members[0][1]), np.load(tmp_path / "alone.npy")
+    )
+
+
 def test_every_member_is_told_of_once(members):
     found, told = members
     assert {id(growth) for growth in told} == {id(growth) for growth in found}
@@ -85,21 +134,104 @@ def test_error_of_a_member_is_that_of_a_growth():
         grow_many(scene, seeds=[0, 1], processes=2)
 
 
-def test_process_that_is_killed_is_an_error_with_a_sentence():
-    code = (
-        "import os, signal, jax; jax.config.update('jax_enable_x64', True)\n"
-        "from jaxgrow import ensemble, Scene, Myoma\n"
-        "def grow(*_, **__): os.kill(os.getpid(), signal.SIGKILL)\n"
-        "if __name__ == '__main__':\n"
-        "    scene = Scene(organ=None, lesion=Myoma(divisions=1))\n"
-        "    ensemble._grow = grow\n"
-        "    ensemble.grow_many(scene, seeds=[0, 1], processes=2)\n"
+def test_process_that_is_killed_is_an_error_with_a_sentence(script):
+    code = """
+import os, signal
+
+def grow(*_, **__):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+if __name__ == "__main__":
+    ensemble._grow = grow
+    ensemble.grow_many(scene, seeds=[0, 1], processes=2)
+"""
+    failed = run(script(code)).stderr
+    assert "RuntimeError: a process of grow_many ended without an answer" in failed
+    assert "FileNotFoundError" not in failed
+    assert "Can't get attribute" not in failed
+
+
+def test_script_without_a_guard_is_told_to_have_one(script):
+    failed = run(script("ensemble.grow_many(scene, seeds=[0, 1], processes=2)"))
+    last = failed.stderr.strip().splitlines()[-1]
+    assert last.startswith("RuntimeError: no process of grow_many could start")
+    assert last.endswith('call grow_many under if __name__ == "__main__": there.')
+
+
+def test_script_that_is_no_file_is_told_to_be_one():
+    code = """
+if __name__ == "__main__":
+    ensemble.grow_many(scene, seeds=[0, 1], processes=2)
+"""
+    failed = run("-", given=SETUP + code)
+    last = failed.stderr.strip().splitlines()[-1]
+    assert last.startswith("RuntimeError: no process of grow_many could start")
+    assert last.endswith("<stdin> is no file; write the script to one.")
+
+
+def test_what_is_raised_ends_all_members_at_once(script):
+    code = """
+import multiprocessing, os, signal, threading, time
+grow_one = ensemble._grow
+
+def grow(scene, seed, *rest):
+    if seed > 0:
+        time.sleep(300)
+    return grow_one(scene, seed, *rest) if seed < 0 else seed
+
+def refuse(member):
+    raise LookupError(member)
+
+def interrupt(member):
+    threading.Timer(0.5, os.kill, [os.getpid(), signal.SIGINT]).start()
+
+if __name__ == "__main__":
+    ensemble._grow = grow
+    for seeds, finished in ([-1, 0, 1, 2], None), ([0, 1], refuse), ([0, 1], interrupt):
+        try:
+            ensemble.grow_many(scene, seeds=seeds, processes=2, finished=finished)
+        except BaseException as error:
+            print(type(error).__name__, multiprocessing.active_children())
+"""
+    done = run(script(code))
+    told = ["ValueError []", "LookupError []", "KeyboardInterrupt []"]
+    assert done.stdout.splitlines() == told, done.stderr
+    assert done.stderr == ""
+
+
+def test_processes_are_configured_as_this_one_and_say_nothing_of_the_cache(script):
+    code = """
+import os
+
+def see(*_):
+    config = jax.config
+    return (
+        config.jax_enable_x64,
+        config.jax_platforms,
+        config.jax_default_matmul_precision,
+        os.environ["TF_CPP_MIN_LOG_LEVEL"],
+        os.environ["NPROC"],
     )
-    failed = subprocess.run([sys.executable, "-"], input=code, text=True, **PIPES)
-    assert "ended without an answer" in failed.stderr
+
+if __name__ == "__main__":
+    jax.config.update("jax_platforms", "cpu")
+    jax.config.update("jax_default_matmul_precision", "highest")
+    ensemble._grow = see
+    print(set(ensemble.grow_many(scene, seeds=[0, 1], processes=2)))
+"""
+    done = run(script(code))
+    seen = {(True, "cpu", "highest", "3", "1")}
+    assert done.stdout.splitlines() == [str(seen)], done.stderr
 
 
-PIPES = {"capture_output": True, "check": False}
+@pytest.mark.parametrize("own, members", [(None, "3"), ("1", "3"), ("0", "0")])
+def test_level_of_the_log_is_the_users_if_there_is_one(monkeypatch, own, members):
+    name = "TF_CPP_MIN_LOG_LEVEL"
+    monkeypatch.setenv(name, "?")
+    monkeypatch.delenv(name) if own is None else monkeypatch.setenv(name, own)
+    with ensemble._quiet():
+        assert os.environ[name] == members
+    assert os.environ.get(name) == own
 
 
 def test_derivative_through_processes_is_refused():
@@ -109,6 +241,29 @@ def test_derivative_through_processes_is_refused():
 
     with pytest.raises(ValueError, match="derivative does not go through"):
         jax.grad(size)(jnp.asarray(0.2))
+
+
+def test_derivative_in_parameters_of_the_scene_is_refused():
+    def size(value):
+        varied = CLUSTER.model_copy(
+            update={"parameters": replace(Parameters(), adhesion=value)}
+        )
+        return grow_many(varied, seeds=[0])[0].size_mm
+
+    with pytest.raises(ValueError, match="derivative does not go through"):
+        jax.grad(size)(jnp.asarray(0.2))
+
+
+@pytest.mark.parametrize(
+    "options, match",
+    [
+        ({"seeds": [0, 1.7]}, r"a seed is 1\.7; give a whole number"),
+        ({"seeds": [0], "processes": 1.5}, r"processes is 1\.5; give a whole number"),
+    ],
+)
+def test_numbers_that_are_not_whole_are_refused(options, match):
+    with pytest.raises(TypeError, match=match):
+        inspect.unwrap(grow_many)(CLUSTER, **options)
 
 
 @pytest.mark.parametrize(
