@@ -4,7 +4,7 @@ It converges quadratically down to rounding, where L-BFGS stalls. It is not chea
 from a residual of 1e-4 F(0) it takes about as many Hessian products as L-BFGS takes
 steps, and a product costs about two force evaluations. Far from an equilibrium the
 Hessian has negative curvature: this method then gives up, with the best positions it
-had.
+had (`jaxgrow.equilibrium.trust` goes on).
 """
 
 import equinox as eqx

@@ -4,8 +4,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
-from scipy.spatial import KDTree
+from jaxtyping import Array, Bool, Int
 
 from jaxgrow.capacity import capacity_for
 from jaxgrow.energy.a2 import CUTOFF
@@ -13,6 +12,7 @@ from jaxgrow.energy.contact import reach
 from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.state import Membrane, Nodes, parked, Particles
 from jaxgrow.transfer import get, get_number, padded
+from jaxgrow.vicinity import near_seeds
 
 
 MARGIN = 1.0
@@ -68,24 +68,6 @@ def both(nodes: Nodes) -> tuple[Array | None, Array | None]:
     return nodes.particles, nodes.vertices
 
 
-def _near(
-    points: Float[np.ndarray, "n 3"] | None,
-    seeds: Float[np.ndarray, "k 3"],
-    radius: float,
-) -> Bool[np.ndarray, " n"]:
-    """Which points are within a radius of a seed."""
-    if points is None or len(seeds) == 0:
-        return np.zeros(0 if points is None else len(points), bool)
-    low, high = seeds.min(axis=0) - radius, seeds.max(axis=0) + radius
-    near = np.all((points >= low) & (points <= high), axis=1)
-    candidates = np.flatnonzero(near)
-    distance, _ = KDTree(seeds).query(
-        points[candidates], distance_upper_bound=radius, workers=1
-    )
-    near[candidates] = np.isfinite(distance)
-    return near
-
-
 def _points(problem: Problem) -> tuple[np.ndarray | None, np.ndarray | None]:
     """Positions of all slots on the host; padding of vertices is far away."""
     particles = vertices = None
@@ -102,7 +84,7 @@ def around(problem: Problem, some: Mask, radius: float) -> Mask:
     points = _points(problem)
     placed = zip(points, some, strict=True)
     seeds = np.concatenate([rows[mask] for rows, mask in placed if rows is not None])
-    return Mask(*(_near(place, seeds, radius) for place in points))
+    return Mask(*(near_seeds(place, seeds, radius) for place in points))
 
 
 def cut(problem: Problem, moving: Mask) -> Part:

@@ -20,6 +20,7 @@ from jaxgrow.equilibrium.stages import (
     run_stage,
     stages_of,
 )
+from jaxgrow.equilibrium.staggered import stagger
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
 from jaxgrow.state import Membrane, Nodes, Particles
@@ -128,10 +129,12 @@ def relax(
         tolerance: largest force on a free node at the end, in F(0).
         method: "lbfgs", "fire", "newton" (within a trust region, so from anywhere),
             "euler" and "serial" (the paper's eq. 1, all at once or in serial order,
-            which is for particles alone), or "auto": L-BFGS, which Newton's method ends
-            where the tolerance is below 1e-6, then FIRE if they do not converge;
-            "local": the same after relaxing what is disturbed by itself, larger and
-            larger, which "auto" does too where there are many thousands of nodes.
+            which is for particles alone), "staggered" (the paper's turns of tissue and
+            surface, for both, which seldom converge), or "auto": L-BFGS, which Newton's
+            method ends where the tolerance is below 1e-6, then FIRE if they do not
+            converge; "local": the same after relaxing what is disturbed by itself,
+            larger and larger, which "auto" does too where there are many thousands of
+            nodes.
         max_steps: bound on the steps of each method.
         largest_step: longest displacement of a node in one step, in r0.
         load: external force on every vertex, in F(0).
@@ -139,8 +142,9 @@ def relax(
         collide: lists what the membrane may collide with (see
             `jaxgrow.collisions.CollisionFinder`); None if it can collide with nothing,
             and then no collision term is compiled.
-        observe: called with the positions after every single step (by Newton's methods
-            only with the last ones), which makes the relaxation several times slower.
+        observe: called with the positions after every single step, which makes the
+            relaxation several times slower; of "staggered" after every turn, of
+            "newton" at the end.
 
     Returns:
         state, result, stats and lists. When the result is not CONVERGED the state is
@@ -161,6 +165,11 @@ def relax(
         )
     if method == "serial" and membrane is not None:
         raise ValueError("method is 'serial', which is for particles alone.")
+    if method == "staggered" and (particles is None or membrane is None):
+        raise ValueError(
+            "method is 'staggered', which is for particles and a membrane: give both, "
+            "or choose another method."
+        )
     if method == "local" and (collide is not None or observe is not None):
         raise ValueError(
             "method is 'local', which is for what collides with nothing and is not "
@@ -186,6 +195,8 @@ def relax(
         limits = Limits(stage.tolerance, max_steps, largest_step)
         if stage.name == "local":
             found = relax_locally(problem, lists, limits)
+        elif stage.name == "staggered":
+            found = stagger(problem, lists, limits, collide, observe)
         else:
             found = run_stage(problem, lists, stage, limits, collide, observe)
         problem, lists, forces = problem.at(found.nodes), found.lists, found.force

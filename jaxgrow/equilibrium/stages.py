@@ -21,7 +21,9 @@ from jaxgrow.results import Result
 from jaxgrow.state import Nodes
 
 
-Method = Literal["auto", "lbfgs", "fire", "newton", "local", "euler", "serial"]
+Method = Literal[
+    "auto", "lbfgs", "fire", "newton", "local", "euler", "serial", "staggered"
+]
 
 NEAR = 1e-4
 """Residual, in F(0), from which Newton's method converges without help."""
@@ -98,7 +100,9 @@ def stages_of(method: str, tolerance: float, parameters: Parameters) -> list[Sta
         polish = newton._replace(polishes=True), lbfgs._replace(polishes=True)
         auto = [lbfgs._replace(tolerance=POLISHED), *polish, fire]
     local = Stage("local", None, max(tolerance, NEAR))
-    alone = {stage.name: [stage] for stage in (lbfgs, fire, newton, euler, serial)}
+    staggered = Stage("staggered", None, tolerance)
+    each = lbfgs, fire, newton, euler, serial, staggered
+    alone = {stage.name: [stage] for stage in each}
     methods = {**alone, "auto": auto, "local": [local, *auto]}
     if method not in methods:
         raise ValueError(f"method is {method!r}; it must be one of {list(methods)}.")

@@ -11,8 +11,9 @@ the method leaves saddles. The step is made if the energy falls as the model for
 and the share grows and shrinks with how well it does (algorithm 4.1 there).
 
 Near an equilibrium it converges superlinearly, to the rounding of the forces. It takes
-more Hessian products than L-BFGS takes steps, and a product costs about two force
-evaluations: its use is where curvature is negative or stiffnesses are very unequal.
+more Hessian products than L-BFGS takes steps (of 600 particles, dense and jittered, 55
+to 42 until 1e-4 F(0) and 106 to 95 until 1e-8), and a product costs about two force
+evaluations: its use is where curvature is negative.
 
 A saddle is an equilibrium too: if the forces that break its symmetry are below the
 tolerance, or of the rounding of the others, this method ends there as all others do.
