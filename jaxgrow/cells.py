@@ -12,7 +12,7 @@ import math
 import sys
 import warnings
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -199,27 +199,42 @@ def moved_to(wide: Any, chosen: Int[Array, " k"], position: Float[Array, "k 3"])
     return dataclasses.replace(wide, reference_position=reference)
 
 
-def part_of(
-    wide: Any,
-    listed: Int[Array, "q w"],
-    position: Float[Array, "q 3"],
-    index: Int[np.ndarray, " p"],
-) -> Any:
+Chosen: TypeAlias = Int[np.ndarray, " p"]
+"""Indices of some points, on the host."""
+
+
+def entries_of(table: Int[Array, "k n"], chosen: Chosen, room: int) -> Array:
+    """A list of some of the points, in their numbers, with room for padding."""
+    number = np.full(table.shape[1] + 1, room, np.int32)
+    number[chosen] = np.arange(len(chosen), dtype=np.int32)
+    entries = np.full((table.shape[0], room), room, np.int32)
+    entries[:, : len(chosen)] = number[np.asarray(table)[:, chosen]]
+    return jnp.asarray(entries)
+
+
+def rows_of(
+    array: Float[Array, "n 3"], chosen: Chosen, instead: Float[Array, "q 3"]
+) -> Array:
+    """Rows of the chosen points, other ones for padding."""
+    rows = np.array(instead)
+    rows[: len(chosen)] = np.asarray(array)[chosen]
+    return jnp.asarray(rows)
+
+
+def part_of(wide: Any, chosen: Chosen, position: Float[Array, "q 3"]) -> Any:
     """The list of some of the points.
 
     Args:
         wide: of all of them.
-        listed: entries of the chosen ones and of padding.
-        position: of both, in r0.
-        index: who the chosen ones are; they are the first rows.
+        chosen: who they are.
+        position: of them and of padding, in r0.
     """
-    update, cell_list = _functions(Hash.of(len(position), wide.cell_size))
-    reference = np.asarray(position) + _SHIFT
-    reference[: len(index)] = np.asarray(wide.reference_position)[index]
+    room = position.shape[0]
+    update, cell_list = _functions(Hash.of(room, wide.cell_size))
     return dataclasses.replace(
         wide,
-        idx=listed,
-        reference_position=jnp.asarray(reference),
+        idx=entries_of(wide.idx.T, chosen, room).T,
+        reference_position=rows_of(wide.reference_position, chosen, position + _SHIFT),
         cell_list_fn=cell_list,
         update_fn=update,
     )

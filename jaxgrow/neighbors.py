@@ -20,7 +20,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxgrow import cells
@@ -183,31 +182,21 @@ def _patched(neighbors: Neighbors, position: Float[Array, "n 3"]) -> Neighbors:
 
 
 def part_of(
-    neighbors: Neighbors, index: Int[np.ndarray, " p"], position: Float[Array, "q 3"]
+    neighbors: Neighbors, chosen: cells.Chosen, position: Float[Array, "q 3"]
 ) -> Neighbors:
     """The list of some of the particles, made on the host from that of all of them.
 
     Args:
         neighbors: of all of them.
-        index: of the chosen ones, without repetition.
+        chosen: who they are, without repetition.
         position: of their slots, in their order; the padding follows them, parked.
     """
-    count, room = neighbors.listed.shape[1], position.shape[0]
-    number = np.full(count + 1, room, np.int32)
-    number[index] = np.arange(len(index), dtype=np.int32)
-
-    def chosen(table: Int[Array, "k n"]) -> Array:
-        rows = np.full((table.shape[0], room), room, np.int32)
-        rows[:, : len(index)] = number[np.asarray(table)[:, index]]
-        return jnp.asarray(rows)
-
-    reference = np.array(position)
-    reference[: len(index)] = np.asarray(neighbors.reference)[index]
+    room = position.shape[0]
     return Neighbors(
-        chosen(neighbors.listed),
-        jnp.asarray(reference),
+        cells.entries_of(neighbors.listed, chosen, room),
+        cells.rows_of(neighbors.reference, chosen, position),
         jnp.zeros((), bool),
-        cells.part_of(neighbors.wide, chosen(neighbors.wide.idx.T).T, position, index),
+        cells.part_of(neighbors.wide, chosen, position),
     )
 
 

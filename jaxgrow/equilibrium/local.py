@@ -12,19 +12,24 @@ on any free node.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from jaxgrow.equilibrium.lbfgs import LBFGS
 from jaxgrow.equilibrium.listing import allocate_contacts, allocate_lists, prepared
-from jaxgrow.equilibrium.part import around, both, cut, MARGIN, Mask, Part
+from jaxgrow.equilibrium.part import (
+    count_free,
+    cut,
+    enlarged_by,
+    MARGIN,
+    none_of,
+    Part,
+)
 from jaxgrow.equilibrium.problem import Lists, Problem
 from jaxgrow.equilibrium.stages import Found, Limits, run_stage, Stage
 from jaxgrow.neighbors import part_of
 from jaxgrow.numerics import safe_norm
 from jaxgrow.results import Result
 from jaxgrow.state import Nodes
-from jaxgrow.transfer import get
 
 
 FEWEST = 16_384
@@ -66,8 +71,8 @@ def relax_locally(problem: Problem, lists: Lists, limits: Limits) -> Found:
     # each round goes below the tolerance: what comes later disturbs it again a little
     within = limits._replace(tolerance=0.5 * limits.tolerance)
     stage = Stage("lbfgs", LBFGS(), within.tolerance)
-    moving, steps, rebuilds, overflows = _none_of(problem), 0, 0, 0
-    limit = LARGEST_SHARE * _count_free(problem)
+    moving, steps, rebuilds, overflows = none_of(problem), 0, 0, 0
+    limit = LARGEST_SHARE * count_free(problem)
     lists = prepared(problem, lists, None)
     force, size = _judge(problem, lists)
     while True:
@@ -84,7 +89,7 @@ def relax_locally(problem: Problem, lists: Lists, limits: Limits) -> Found:
         )
         if not residual > limits.tolerance:  # NaN too: the whole tells what it is
             return ended
-        enlarged = _enlarged(problem, moving, size, limits.tolerance)
+        enlarged = enlarged_by(problem, moving, size, limits.tolerance, RADIUS)
         if enlarged.size > limit or enlarged.size == moving.size:
             return ended
         moving = enlarged
@@ -112,18 +117,6 @@ def _lists_of(part: Part, lists: Lists) -> Lists:
     return allocate_contacts(part.problem, neighbors)
 
 
-def _none_of(problem: Problem) -> Mask:
-    """None of the nodes."""
-    nodes = problem.nodes()
-    counts = [0 if rows is None else rows.shape[0] for rows in both(nodes)]
-    return Mask(*(np.zeros(count, bool) for count in counts))
-
-
-def _count_free(problem: Problem) -> int:
-    """How many nodes may move."""
-    return sum(int(get(free)[:, 0].sum()) for free in jax.tree.leaves(problem.free()))
-
-
 @jax.jit
 def _farthest_move(new: Nodes, old: Nodes) -> Float[Array, ""]:
     far = jax.tree.map(lambda a, b: jnp.max(safe_norm(a - b)), new, old)
@@ -133,20 +126,3 @@ def _farthest_move(new: Nodes, old: Nodes) -> Float[Array, ""]:
 def _farthest(new: Nodes, old: Nodes) -> float:
     """The longest way that a node went, in r0."""
     return float(_farthest_move(new, old))
-
-
-def _enlarged(problem: Problem, moving: Mask, size: Nodes, tolerance: float) -> Mask:
-    """What may move: also what is around nodes that feel too much."""
-    none = _none_of(problem)
-    large = [
-        no if rows is None else get(rows) > tolerance
-        for rows, no in zip(both(size), none, strict=True)
-    ]
-    able = [
-        no if rows is None else get(rows)[:, 0] > 0
-        for rows, no in zip(both(problem.free()), none, strict=True)
-    ]
-    near = around(problem, Mask(*large), RADIUS)
-    return Mask(
-        *((old | new) & on for old, new, on in zip(moving, near, able, strict=True))
-    )

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Int
@@ -63,7 +64,7 @@ class Part(NamedTuple):
         )
 
 
-def both(nodes: Nodes) -> tuple[Array | None, Array | None]:
+def _both(nodes: Nodes) -> tuple[Array | None, Array | None]:
     """Both kinds."""
     return nodes.particles, nodes.vertices
 
@@ -79,7 +80,7 @@ def _points(problem: Problem) -> tuple[np.ndarray | None, np.ndarray | None]:
     return particles, vertices
 
 
-def around(problem: Problem, some: Mask, radius: float) -> Mask:
+def _around(problem: Problem, some: Mask, radius: float) -> Mask:
     """All nodes within a radius of some of them."""
     points = _points(problem)
     placed = zip(points, some, strict=True)
@@ -87,9 +88,48 @@ def around(problem: Problem, some: Mask, radius: float) -> Mask:
     return Mask(*(near_seeds(place, seeds, radius) for place in points))
 
 
+def none_of(problem: Problem) -> Mask:
+    """None of the nodes."""
+    nodes = problem.nodes()
+    counts = [0 if rows is None else rows.shape[0] for rows in _both(nodes)]
+    return Mask(*(np.zeros(count, bool) for count in counts))
+
+
+def count_free(problem: Problem) -> int:
+    """How many nodes may move."""
+    return sum(int(get(free)[:, 0].sum()) for free in jax.tree.leaves(problem.free()))
+
+
+def enlarged_by(
+    problem: Problem, moving: Mask, size: Nodes, tolerance: float, radius: float
+) -> Mask:
+    """What may move: also what is around nodes that feel too much.
+
+    Args:
+        problem: the whole.
+        moving: what could move before.
+        size: of the force on every node that is free.
+        tolerance: how much is too much, in F(0).
+        radius: of what is around a node, in r0.
+    """
+    none = none_of(problem)
+    large = [
+        no if rows is None else get(rows) > tolerance
+        for rows, no in zip(_both(size), none, strict=True)
+    ]
+    able = [
+        no if rows is None else get(rows)[:, 0] > 0
+        for rows, no in zip(_both(problem.free()), none, strict=True)
+    ]
+    near = _around(problem, Mask(*large), radius)
+    return Mask(
+        *((old | new) & on for old, new, on in zip(moving, near, able, strict=True))
+    )
+
+
 def cut(problem: Problem, moving: Mask) -> Part:
     """The problem of some nodes, with everything around that acts on them."""
-    near = around(problem, moving, _span(problem) + MARGIN)
+    near = _around(problem, moving, _span(problem) + MARGIN)
     needed = int(near.particles.sum())
     if problem.membrane is not None:
         needed = max(needed, 2 * _vertices_needed(problem.membrane, near.vertices))
