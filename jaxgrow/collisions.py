@@ -18,8 +18,10 @@ from jaxgrow.transfer import get, get_number, get_surface, padded
 
 
 SKIN = 0.7
-"""Extra distance, in r0, up to which pairs are listed. With 0.25 there are a quarter of
-them, but the host lists them anew twice as often, which takes more time."""
+"""Extra distance, in r0, up to which pairs are listed. What is near is found in this
+list on the device, so a long one is cheap: 40 divisions with the term always on take
+11.8, 10.2 and 9.6 s with 0.4, 0.7 and 1.0 (6.9 s without the term). But where a surface
+folds upon itself, pairs grow with its cube."""
 
 LEAST_PAIRS = 512
 """Capacity of the lists to begin with."""
