@@ -65,6 +65,15 @@ EXPERT = jg.Scene(
 )
 """Of 25 designs over six parameters (a Sobol sequence, particles of 1.2 mm) the one
 with the narrowest neck, half as wide as the lesion; the default's is 0.85 of it."""
+EXPERT_BOUNDS = {
+    "spring_stiffness": jg.Bounds(low=0.002, high=0.2, start=0.006),
+    "contact_adhesion": jg.Bounds(low=0.03, high=1.5, start=0.23),
+    "tumour_stiffness": jg.Bounds(low=1.0, high=10.0, start=3.0),
+    "adhesion": jg.Bounds(low=0.05, high=0.39, start=0.29),
+    "pretension": jg.Bounds(low=0.02, high=0.9, start=0.25),
+    "contact_stiffness": jg.Bounds(low=0.2, high=3.0, start=0.54),
+}
+"""The six parameters of that design."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +103,7 @@ QUICK = Size(
     more_seeds=8,
     evaluations=5,
     expert_seeds=2,
-    expert_evaluations=3,
+    expert_evaluations=7,
 )
 FULL = Size(
     planted=192,
@@ -102,7 +111,7 @@ FULL = Size(
     more_seeds=48,
     evaluations=12,
     expert_seeds=3,
-    expert_evaluations=12,
+    expert_evaluations=40,
 )
 
 
@@ -176,17 +185,19 @@ def recover(
         grower=grower,
         **effort,
     )
-    return summary(found, starts)
+    return summary(found, starts, TRUTH)
 
 
-def summary(found: jg.Fit, starts: dict[str, float]) -> dict[str, Any]:
-    """The figures of a fit."""
+def summary(
+    found: jg.Fit, starts: dict[str, float], truth: dict[str, float]
+) -> dict[str, Any]:
+    """The figures of a fit; `truth` is what its targets were made with, if known."""
     row = found.as_dict()
     for name, fitted in row["parameters"].items():
         fitted["start"] = starts[name]
-        if name in TRUTH:
-            fitted["truth"] = TRUTH[name]
-            fitted["error"] = fitted["value"] / TRUTH[name] - 1
+        if name in truth:
+            fitted["truth"] = truth[name]
+            fitted["error"] = fitted["value"] / truth[name] - 1
     gradient = [t for t in found.history if t.how == "gradient"]
     row["gradient_steps"] = len(gradient)
     row["gradient_steps_accepted"] = sum(t.accepted for t in gradient)
@@ -201,11 +212,6 @@ def expert(size: Size, out: Path) -> dict[str, Any]:
     Springs this soft, on a surface that folds upon itself, take minutes a lesion, and
     their derivatives (equilibria to 1e-10) ten times as long.
     """
-    starts = {"spring_stiffness": 0.006, "contact_adhesion": 0.34}
-    bounds = {
-        "spring_stiffness": jg.Bounds(low=0.002, high=0.2, start=0.006),
-        "contact_adhesion": jg.Bounds(low=0.03, high=1.5, start=0.34),
-    }
     targets = {
         "height_to_width": jg.Target(value=1.8, uncertainty=0.2),
         "neck_to_width": jg.Target(value=0.4, uncertainty=0.1),
@@ -214,17 +220,18 @@ def expert(size: Size, out: Path) -> dict[str, Any]:
         "seeds": tuple(range(size.expert_seeds)),
         "evaluations": size.expert_evaluations,
     }
-    entries = {"targets": targets, "parameters": bounds, "fit": effort}
+    entries = {"targets": targets, "parameters": EXPERT_BOUNDS, "fit": effort}
     found = jg.fit(
         EXPERT,
         targets,
-        bounds,
+        EXPERT_BOUNDS,
         **effort,
         grower=WithoutDerivatives(EXPERT, make_task(entries, source="expert")),
         folder=out / "expert",
         progress=lambda tried: print("expert", *tried, flush=True),
     )
-    return summary(found, starts)
+    starts = {name: bounds.start for name, bounds in EXPERT_BOUNDS.items()}
+    return summary(found, starts, {})
 
 
 def cma(starts: dict[str, float], size: Size, out: Path) -> dict[str, Any]:
