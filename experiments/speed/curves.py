@@ -1,9 +1,11 @@
 """Work-precision curves: error against seconds, along the axes of a `Setting`.
 
-A point is one setting, relaxed from the same jittered dense ball as all others. Its
-errors are those of `speed.errors.errors_of`: against the equilibrium to 1e-12 that its
-own end goes on to, under the law of the axis. Another relaxer is an entry of
-`RELAXERS`, another axis one of `AXES`.
+A point is one setting, relaxed from the same jittered dense ball as all others; on the
+axis "division" from a ball at rest in which one particle divided, where jaxgrow's
+"auto" relaxes by parts and its "lbfgs" the whole. Its errors are those of
+`speed.errors.errors_of`: against the equilibrium to 1e-12 that its own end goes on to,
+under the law of the axis. Another relaxer is an entry of `RELAXERS`, another axis one
+of `AXES`.
 """
 
 from collections.abc import Callable, Iterator
@@ -26,7 +28,7 @@ from .errors import errors_of
 from .fire import FIRE, SKIN as SKIN_OF_JAX_MD
 from .lbfgs import relax_lbfgs
 from .measure import measure_in_turns, Options, spread
-from .scenes import dense_ball, particles_of
+from .scenes import dense_ball, divided, particles_of, resting_ball
 
 
 Points = Float[np.ndarray, "n 3"]
@@ -140,6 +142,11 @@ AXES: dict[str, list[Setting]] = {
         Setting(relaxer="numba lbfgs", tolerance=1e-6, skin=s)
         for s in (0.1, 0.2, 0.3, 0.4, 0.6, 0.8)
     ],
+    "division": [
+        Setting(relaxer=name, tolerance=t, skin=SKINS.get(name, SKIN))
+        for name in ("jaxgrow auto", "jaxgrow lbfgs", "numba lbfgs")
+        for t in TOLERANCES
+    ],
 }
 
 
@@ -148,10 +155,14 @@ def work_precision(axis: str, options: Options) -> Iterator[dict[str, Any]]:
 
     Args:
         axis: name in `AXES`.
-        options: a ball of 1000 particles if quick, of 10 000 if not.
+        options: a ball of 1000 particles if quick, of 10 000 if not; three times as
+            many where one divides.
     """
     count = 1000 if options.quick else 10_000
-    start = dense_ball(count, np.random.default_rng(0))
+    if axis == "division":
+        start = divided(resting_ball(3 * count), 0)
+    else:
+        start = dense_ball(count, np.random.default_rng(0))
     settings = {str(number): s for number, s in enumerate(AXES[axis])}
     contenders = {n: RELAXERS[s.relaxer](s, start) for n, s in settings.items()}
     measured = measure_in_turns(contenders, options, shortest=0.0)
@@ -162,7 +173,7 @@ def work_precision(axis: str, options: Options) -> Iterator[dict[str, Any]]:
         yield {
             **asdict(setting),
             "axis": axis,
-            "particles": count,
+            "particles": len(start),
             "result": result,
             "seconds": spread(measured.seconds[name]),
             "cpu_seconds": spread(measured.cpu_seconds[name]),

@@ -41,6 +41,14 @@ PRECISION = {
             "residual": "largest force (F(0))",
         },
     ),
+    "division": (
+        "ball after a division",
+        {
+            "position_rms": "position, rms (r0)",
+            "energy_relative": "energy, relative",
+            "residual": "largest force (F(0))",
+        },
+    ),
     "polyp-tolerance": (
         "polyp after a division",
         {
