@@ -5,8 +5,9 @@ computed from. The near one is short (empty and distant entries cost as much as 
 and so holds for short moves only, but finding it in the wide one costs no more than a
 force evaluation; the wide one, ten times as dear, holds for long moves.
 
-Where many particles are listed and few of them went far, as after a division, only
-those few are listed anew (`jaxgrow.relisting`), at a hundredth of the cost.
+Where few of the particles went far, as after a division, only those are listed anew
+(`jaxgrow.relisting`), at a twentieth of the cost for hundreds of particles and at a
+hundredth for very many.
 
 `allocate` runs on the host and decides capacities; `update` runs in compiled code. An
 update that does not fit sets a flag that stays set, and forces computed from such a
@@ -39,8 +40,9 @@ of adjacent cells when it makes one, which of many particles should not be too m
 
 FEW = 4096
 
-_STRAYS = 32
-"""Particles that are listed anew one by one; when more went far, all are."""
+_STRAYS, _STRAYS_OF_FEW = 32, 8
+"""Particles, of many and of few, that are listed anew one by one; when more went far,
+all are."""
 
 _LEAST_OCCUPANCY = 32
 _OCCUPANCY_STEP = 8
@@ -113,11 +115,14 @@ def rebuilt(
     neighbors: Neighbors, position: Float[Array, "n 3"], anew: Bool[Array, ""]
 ) -> Neighbors:
     """The list for these positions if it is to be made anew, else as it is."""
+    wide_holds = (
+        farthest_two(cells.moved(neighbors.wide, position))
+        <= neighbors.wide_skin - SKIN
+    )
 
     def make() -> Neighbors:
         wide = jax.lax.cond(
-            farthest_two(cells.moved(neighbors.wide, position))
-            <= neighbors.wide_skin - SKIN,
+            wide_holds,
             lambda: neighbors.wide,
             lambda: cells.relist(neighbors.wide, position),
         )
@@ -125,16 +130,18 @@ def rebuilt(
         listed, most = _near(position, wide.idx, room)
         return Neighbors(listed, position, neighbors.full | (most > room), wide)
 
-    if position.shape[0] <= FEW:
-        return jax.lax.cond(anew, make, lambda: neighbors)
-    _, strays = _far(neighbors, position)
-    return jax.lax.cond(
-        anew,
-        lambda: jax.lax.cond(
-            strays <= _STRAYS, lambda: _patched(neighbors, position), make
-        ),
-        lambda: neighbors,
-    )
+    def patch_or_make() -> Neighbors:
+        _, strays = _far(neighbors, position)
+        patch = strays <= _most_strays(position.shape[0])
+        if position.shape[0] <= FEW:  # then it costs less to look through the wide list
+            patch &= ~wide_holds
+        return jax.lax.cond(patch, lambda: _patched(neighbors, position), make)
+
+    return jax.lax.cond(anew, patch_or_make, lambda: neighbors)
+
+
+def _most_strays(count: int) -> int:
+    return min(_STRAYS if count > FEW else _STRAYS_OF_FEW, count)
 
 
 def _far(
@@ -156,9 +163,10 @@ def _patched(neighbors: Neighbors, position: Float[Array, "n 3"]) -> Neighbors:
     the skin is a bound for. So the others are where they were then here too.
     """
     moved, strays = _far(neighbors, position)
-    _, farthest = jax.lax.top_k(moved, _STRAYS)
     count = position.shape[0]
-    chosen = jnp.where(jnp.arange(_STRAYS) < strays, farthest, count)
+    most = _most_strays(count)
+    _, farthest = jax.lax.top_k(moved, most)
+    chosen = jnp.where(jnp.arange(most) < strays, farthest, count)
     reference = neighbors.reference.at[chosen].set(position[farthest], mode="drop")
     wide = cells.moved_to(neighbors.wide, chosen, position[farthest])
 

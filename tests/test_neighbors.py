@@ -212,10 +212,10 @@ def test_thousands_of_particles_lose_no_pair():
 MANY = nb.FEW + 404
 
 
-def crowd(seed):
-    """More particles than are always listed all together, and parked slots."""
-    side = (MANY / 1.2) ** (1 / 3)
-    position = box(seed, scale=side, count=MANY)
+def crowd(seed, count=MANY):
+    """Particles, and fifty parked slots."""
+    side = (count / 1.2) ** (1 / 3)
+    position = box(seed, scale=side, count=count)
     return np.concatenate([position[:-50], np.asarray(parked(50))])
 
 
@@ -234,17 +234,20 @@ def made_anew(before, after):
     return not kept.any()
 
 
-@pytest.mark.parametrize("strays", [1, 5, 25])
-def test_few_that_jump_among_many_are_listed_alone(strays):
+@pytest.mark.parametrize(
+    "count, strays", [(MANY, 1), (MANY, 5), (MANY, 25), (400, 1), (400, 5)]
+)
+def test_few_that_jump_are_listed_alone(count, strays):
     rng = np.random.default_rng(strays)
-    position = crowd(7)
-    inner = position[: MANY - 50]
+    position = crowd(7, count)
+    inner = position[: count - 50]
     neighbors = roomy_for(position)
+    alone = 0
     for _ in range(5):
         before = neighbors
         inner += 0.02 / np.sqrt(3) * rng.uniform(-1, 1, inner.shape)
         # daughters come from where slots are parked, and pairs jump together
-        chosen = rng.choice(MANY, strays, replace=False)
+        chosen = rng.choice(count, strays, replace=False)
         position[chosen] = inner[rng.choice(len(inner), strays)] + 0.3
         position[chosen[:2]] = position[chosen[0]] + [[0, 0, 0], [0.5, 0, 0]][:strays]
         neighbors = update(neighbors, jnp.asarray(position))
@@ -253,8 +256,10 @@ def test_few_that_jump_among_many_are_listed_alone(strays):
         assert is_symmetric(np.asarray(neighbors.wide.idx).T)
         assert pairs_of(neighbors, position) == pairs_by_tree(position)
         if not made_anew(before, neighbors):
+            alone += 1
             moved = np.linalg.norm(position - np.asarray(neighbors.reference), axis=1)
             assert moved.max() <= nb.SKIN / 4
+    assert alone > 0
     # the wide list, too, was kept: the next one is made of it
     anew = nb.rebuilt(neighbors, jnp.asarray(position), jnp.asarray(True))
     assert pairs_of(anew, position) == pairs_by_tree(position)

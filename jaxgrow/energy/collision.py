@@ -27,6 +27,8 @@ intersect, a vertex meets a triangle or an edge an edge that it shares none with
 nothing is missed.
 """
 
+from typing import TypeAlias
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -51,6 +53,10 @@ LOCAL = 3.0
 
 PARALLEL = 1e-3
 """Squared sine of the angle below which two edges count as nearly parallel."""
+
+
+PairDistances: TypeAlias = tuple[Float[Array, " p"], Float[Array, " q"]]
+"""Of all pairs of a vertex and a triangle, and of all pairs of edges, in r0."""
 
 
 class Collisions(eqx.Module):
@@ -91,9 +97,7 @@ class Collisions(eqx.Module):
         shift = farthest_two(vertices - self.reference)
         return eqx.tree_at(lambda c: c.stale, self, ~(shift <= self.skin))
 
-    def distances(
-        self, membrane: Membrane
-    ) -> tuple[Float[Array, " p"], Float[Array, " q"]]:
+    def distances(self, membrane: Membrane) -> PairDistances:
         """Exact distance of all pairs in r0; infinite for padding."""
         points = jnp.concatenate([membrane.vertices, self.still])
         of_vertex = point_triangle_distance(points[self.vertex], points[self.corners])
@@ -161,11 +165,21 @@ def _skewness(membrane: Membrane, collisions: Collisions) -> Float[Array, " q"]:
 
 
 def collision_energy(
-    membrane: Membrane, collisions: Collisions, parameters: Parameters
+    membrane: Membrane,
+    collisions: Collisions,
+    parameters: Parameters,
+    distances: PairDistances | None = None,
 ) -> Float[Array, ""]:
-    """Energy in F(0) r0."""
+    """Energy in F(0) r0.
+
+    Args:
+        membrane: where it is.
+        collisions: pairs within reach.
+        parameters: of collisions, their barrier, and the smoothing.
+        distances: of all pairs, see `Collisions.distances`, if they are known.
+    """
     scale = parameters.collision_range
-    vertex, edge = collisions.distances(membrane)
+    vertex, edge = collisions.distances(membrane) if distances is None else distances
     u = jnp.where(jnp.isfinite(vertex), vertex, 1) / scale
     count = membrane.vertices.shape[0] + collisions.still.shape[0]
     nearest = smooth_minimum(
@@ -202,16 +216,23 @@ def _margin(listed: Float[Array, " p"], parameters: Parameters) -> Float[Array, 
 
 
 def collision_clearances(
-    membrane: Membrane, collisions: Collisions
+    membrane: Membrane,
+    collisions: Collisions,
+    distances: PairDistances | None = None,
 ) -> Float[Array, " m"]:
     """Distance of every vertex's triangles and edges to what they must not cross.
 
     If no vertex moves by half of it, no two listed pairs meet on the way.
 
+    Args:
+        membrane: where it is.
+        collisions: pairs within reach.
+        distances: of all pairs, see `Collisions.distances`, if they are known.
+
     Returns:
         In r0, infinite where nothing is listed.
     """
-    vertex, edge = collisions.distances(membrane)
+    vertex, edge = collisions.distances(membrane) if distances is None else distances
     total = membrane.vertices.shape[0]
     clear = jnp.full(total, jnp.inf, vertex.dtype)
     clear = clear.at[collisions.vertex].min(vertex, mode="drop")

@@ -192,9 +192,19 @@ def contact_energy(
     membrane: Membrane,
     contacts: Contacts,
     parameters: Parameters,
+    distance: Float[Array, " p"] | None = None,
 ) -> Float[Array, ""]:
-    """Energy in F(0) r0."""
-    distance = contact_distances(particles, membrane, contacts)
+    """Energy in F(0) r0.
+
+    Args:
+        particles: dead ones do not count.
+        membrane: whose faces are listed.
+        contacts: pairs within reach.
+        parameters: of the contact, its barrier, and the smoothing.
+        distance: of every pair, see `contact_distances`, if it is known.
+    """
+    if distance is None:
+        distance = contact_distances(particles, membrane, contacts)
     count = particles.position.shape[0]
     u = smooth_distance(distance, contacts, count, parameters)
     law = A2(parameters.contact_adhesion, parameters.smoothing)

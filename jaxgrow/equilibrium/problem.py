@@ -1,5 +1,7 @@
 """What is minimised: the sum of the energy terms that a scene has."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,6 +13,7 @@ from jaxgrow.energy.collision import (
     collision_energy,
     Collisions,
     narrow_collisions,
+    PairDistances,
 )
 from jaxgrow.energy.contact import (
     clearances,
@@ -130,6 +133,18 @@ class Outgrown(eqx.Module):
         return self.neighbors | self.contacts | self.collisions | self.of_host
 
 
+class Distances(NamedTuple):
+    """Exact distances of the listed pairs, in r0.
+
+    Attributes:
+        contact: of a particle and a triangle; None without that term.
+        collision: of a vertex and a triangle, and of two edges; likewise.
+    """
+
+    contact: Float[Array, " p"] | None
+    collision: PairDistances | None
+
+
 class Problem(eqx.Module):
     """An energy of particle positions and membrane vertices, and what may move.
 
@@ -204,7 +219,12 @@ class Problem(eqx.Module):
 
     def energy(self, nodes: Nodes, lists: Lists) -> Float[Array, ""]:
         """Energy in F(0) r0; only the terms that the scene has are traced."""
-        return self.at(nodes)._total(lists, pairs=True)
+        at = self.at(nodes)
+        total = at._of_surface(lists, at.distances(lists))
+        if lists.neighbors is not None:
+            assert at.particles is not None
+            total += pair_energy(at.particles, lists.neighbors.listed, self.parameters)
+        return total
 
     def forces(self, nodes: Nodes, lists: Lists) -> Nodes:
         """Minus the gradient of the energy, on held and pinned nodes too.
@@ -212,45 +232,46 @@ class Problem(eqx.Module):
         The pair force is evaluated on its own; it would be the same through the
         derivative rule of `pair_energy`, which costs the energy as well.
         """
+        return self._forces_and_distances(nodes, lists)[0]
 
-        def rest(at: Nodes) -> Float[Array, ""]:
-            return self.at(at)._total(lists, pairs=False)
-
-        if self.membrane is None:
-            total = jax.tree.map(jnp.zeros_like, nodes)
-        else:
-            total = jax.tree.map(jnp.negative, jax.grad(rest)(nodes))
-        if lists.neighbors is not None:
-            moved = self.at(nodes)
-            assert moved.particles is not None
-            pair = pair_force(moved.particles, lists.neighbors.listed, self.parameters)
-            total = eqx.tree_at(lambda n: n.particles, total, total.particles + pair)
-        return total
-
-    def bound(self, nodes: Nodes, lists: Lists, largest: Scalar) -> Nodes:
+    def bound(
+        self,
+        nodes: Nodes,
+        lists: Lists,
+        largest: Scalar,
+        distances: Distances | None = None,
+    ) -> Nodes:
         """How far each node may move in one step: `largest`, or less near contact.
 
         0.4 of the clearance of each particle and vertex (see
         `jaxgrow.energy.contact.clearances` and
         `jaxgrow.energy.collision.collision_clearances`), so that nothing crosses the
         membrane, itself included.
+
+        Args:
+            nodes: where they are.
+            lists: valid there.
+            largest: in r0.
+            distances: if they are known.
         """
         free = self.free()
         limit = jax.tree.map(lambda f: f[:, 0] * largest, free)
         at = self.at(nodes)
-        if lists.contacts is not None:
+        if distances is None:
+            distances = at.distances(lists)
+        if lists.contacts is not None and distances.contact is not None:
             particles, membrane = at.both()
-            distance = contact_distances(particles, membrane, lists.contacts)
-            near = clearances(
-                distance, lists.contacts, membrane, particles.position.shape[0]
-            )
+            count = particles.position.shape[0]
+            near = clearances(distances.contact, lists.contacts, membrane, count)
             limit = Nodes(
                 jnp.minimum(limit.particles, 0.4 * near[0]),
                 jnp.minimum(limit.vertices, 0.4 * near[1]),
             )
-        if lists.collisions is not None:
+        if lists.collisions is not None and distances.collision is not None:
             assert at.membrane is not None
-            clear = collision_clearances(at.membrane, lists.collisions)
+            clear = collision_clearances(
+                at.membrane, lists.collisions, distances.collision
+            )
             limit = eqx.tree_at(
                 lambda n: n.vertices, limit, jnp.minimum(limit.vertices, 0.4 * clear)
             )
@@ -259,8 +280,9 @@ class Problem(eqx.Module):
     def forces_and_bound(
         self, nodes: Nodes, lists: Lists, largest: Scalar
     ) -> tuple[Nodes, Nodes]:
-        """Both, of the same trial: the compiler may share the distances."""
-        return self.forces(nodes, lists), self.bound(nodes, lists, largest)
+        """Both, from the same distances."""
+        forces, distances = self._forces_and_distances(nodes, lists)
+        return forces, self.bound(nodes, lists, largest, distances)
 
     def outgrown(self, nodes: Nodes, lists: Lists) -> Outgrown:
         """Which lists do not hold at these positions: something moved too far."""
@@ -353,21 +375,53 @@ class Problem(eqx.Module):
         """The lists for new positions, rebuilt where something moved too far."""
         return self.rebuilt(nodes, lists, self.outgrown(nodes, lists))
 
-    def _total(self, lists: Lists, *, pairs: bool) -> Float[Array, ""]:
-        total = jnp.zeros((), self.dtype)
-        if pairs and lists.neighbors is not None:
-            assert self.particles is not None
-            total += pair_energy(
-                self.particles, lists.neighbors.listed, self.parameters
-            )
+    def distances(self, lists: Lists) -> Distances:
+        """Where the nodes are."""
+        contact = collision = None
         if self.membrane is not None:
-            total += spring_energy(self.membrane, self.parameters)
             if lists.contacts is not None:
-                total += contact_energy(*self.both(), lists.contacts, self.parameters)
+                contact = contact_distances(*self.both(), lists.contacts)
             if lists.collisions is not None:
-                total += collision_energy(
-                    self.membrane, lists.collisions, self.parameters
-                )
-            if self.load is not None:
-                total -= jnp.sum(self.load * self.membrane.vertices)
+                collision = lists.collisions.distances(self.membrane)
+        return Distances(contact, collision)
+
+    def _forces_and_distances(
+        self, nodes: Nodes, lists: Lists
+    ) -> tuple[Nodes, Distances]:
+        def of_surface(at: Nodes) -> tuple[Float[Array, ""], Distances]:
+            moved = self.at(at)
+            distances = moved.distances(lists)
+            return moved._of_surface(lists, distances), distances
+
+        if self.membrane is None:
+            total, distances = (
+                jax.tree.map(jnp.zeros_like, nodes),
+                Distances(None, None),
+            )
+        else:
+            slope, distances = jax.grad(of_surface, has_aux=True)(nodes)
+            total = jax.tree.map(jnp.negative, slope)
+        if lists.neighbors is not None:
+            moved = self.at(nodes)
+            assert moved.particles is not None
+            pair = pair_force(moved.particles, lists.neighbors.listed, self.parameters)
+            total = eqx.tree_at(lambda n: n.particles, total, total.particles + pair)
+        return total, distances
+
+    def _of_surface(self, lists: Lists, distances: Distances) -> Float[Array, ""]:
+        """Energy of all terms but that of pairs of particles."""
+        total = jnp.zeros((), self.dtype)
+        if self.membrane is None:
+            return total
+        total += spring_energy(self.membrane, self.parameters)
+        if lists.contacts is not None:
+            total += contact_energy(
+                *self.both(), lists.contacts, self.parameters, distances.contact
+            )
+        if lists.collisions is not None:
+            total += collision_energy(
+                self.membrane, lists.collisions, self.parameters, distances.collision
+            )
+        if self.load is not None:
+            total -= jnp.sum(self.load * self.membrane.vertices)
         return total
