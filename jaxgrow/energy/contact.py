@@ -23,6 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxgrow.energy.a2 import A2, CUTOFF
 from jaxgrow.energy.distance import split, triangle_distance
 from jaxgrow.energy.smooth_minimum import smooth_minimum
+from jaxgrow.energy.spheres import count_inside, list_inside, list_true, Spheres
 from jaxgrow.numerics import safe_norm, smallest_distance
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Membrane, Particles
@@ -63,18 +64,12 @@ def reach(parameters: Parameters) -> Scalar:
     return CUTOFF * parameters.contact_range
 
 
-def _candidates(
-    particles: Particles, membrane: Membrane, radius: Scalar
-) -> Bool[Array, "n f"]:
-    """Pairs whose distance may be below `radius`, by the spheres around triangles."""
+def _spheres(membrane: Membrane, radius: Scalar) -> Spheres:
+    """Spheres around the triangles that hold every point within `radius` of them."""
     corners = membrane.vertices[membrane.faces]
     centre = jnp.mean(corners, axis=1)
     size = jnp.max(safe_norm(corners - centre[:, None, :]), axis=1)
-    near = jnp.zeros((particles.position.shape[0], centre.shape[0]), centre.dtype)
-    for axis in range(3):
-        near += (particles.position[:, axis, None] - centre[None, :, axis]) ** 2
-    within = near < ((radius + size) ** 2)[None, :]
-    return within & particles.alive[:, None] & membrane.face_alive[None, :]
+    return Spheres(centre, jnp.where(membrane.face_alive, radius + size, 0))
 
 
 SPHERES_PER_CONTACT = 3
@@ -85,7 +80,8 @@ def count_contacts(
     particles: Particles, membrane: Membrane, radius: Scalar
 ) -> Int[Array, ""]:
     """How many pairs the spheres leave: an upper bound of what a list holds."""
-    return jnp.sum(_candidates(particles, membrane, radius))
+    spheres = _spheres(membrane, radius)
+    return count_inside(particles.position, particles.alive, spheres)
 
 
 def list_contacts(
@@ -95,19 +91,18 @@ def list_contacts(
 
     Spheres around the triangles leave candidates, exact distances decide.
     """
-    within = _candidates(particles, membrane, radius)
     size = SPHERES_PER_CONTACT * capacity
-    particle, face = jnp.nonzero(within, size=size, fill_value=0)
-    count = jnp.sum(within)
-    spheres = Contacts(
-        particle=particle,
-        face=face,
-        corners=membrane.faces.T[:, face],
-        real=jnp.arange(size) < count,
+    spheres = _spheres(membrane, radius)
+    found = list_inside(particles.position, particles.alive, spheres, size)
+    candidates = Contacts(
+        particle=found.point,
+        face=found.sphere,
+        corners=membrane.faces.T[:, found.sphere],
+        real=jnp.arange(size, dtype=jnp.int32) < found.total,
         reference=(particles.position, membrane.vertices),
-        overflow=count > size,
+        overflow=found.total > size,
     )
-    return narrow_contacts(spheres, particles, membrane, radius, capacity)
+    return narrow_contacts(candidates, particles, membrane, radius, capacity)
 
 
 def narrow_contacts(
@@ -119,9 +114,8 @@ def narrow_contacts(
 ) -> Contacts:
     """Those of a list that are closer than `radius` (in r0) now, in the same order."""
     near = contact_distances(particles, membrane, wide) < radius
-    (chosen,) = jnp.nonzero(near, size=capacity, fill_value=0)
-    count = jnp.sum(near)
-    real = jnp.arange(capacity) < count
+    chosen, count = list_true(near, capacity)
+    real = jnp.arange(capacity, dtype=jnp.int32) < count
     last = particles.position.shape[0] - 1
     return Contacts(
         particle=jnp.where(real, wide.particle[chosen], last),

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxgrow.energy import spheres
 from jaxgrow.energy.a2 import A2, CUTOFF
 from jaxgrow.energy.contact import (
     barrier,
@@ -266,7 +267,41 @@ def test_list_is_ordered_by_particle_through_its_padding(crowd):
 
 def test_count_of_contacts_is_no_less_than_the_pairs(crowd):
     count = count_contacts(*crowd, jnp.asarray(1.0))
-    assert count >= (brute_force(*crowd) < 1.0).sum()
+    assert int(count) >= (brute_force(*crowd) < 1.0).sum()
+
+
+@pytest.mark.parametrize("few", [spheres.FEW_PAIRS, 0], ids=["table", "bundles"])
+def test_list_of_large_and_dead_faces_is_that_of_brute_force(few, monkeypatch):
+    monkeypatch.setattr(spheres, "FEW_PAIRS", few)
+    rng = np.random.default_rng(3)
+    centre = rng.uniform([0, 0, -0.5], [8, 8, 0.5], (150, 1, 3))
+    size = np.where(np.arange(150) < 5, 6.0, 0.6)[:, None, None]
+    corners = centre + size * rng.normal(size=(150, 3, 3))
+    particles = Particles(
+        jnp.asarray(rng.uniform([0, 0, -2], [8, 8, 0], (60, 3))),
+        jnp.zeros(60, int),
+        jnp.asarray(rng.uniform(size=60) < 0.8),
+        jnp.zeros(60, bool),
+    )
+    membrane = Membrane(
+        jnp.asarray(corners.reshape(-1, 3)),
+        jnp.arange(450).reshape(-1, 3),
+        jnp.zeros((1, 2), int),
+        jnp.ones(1),
+        jnp.ones(450, bool),
+        jnp.asarray(rng.uniform(size=150) < 0.8),
+        jnp.ones(1, bool),
+        jnp.zeros(450, bool),
+        jnp.asarray(-1),
+    )
+    table = brute_force(particles, membrane)
+    made = eqx.filter_jit(lambda *given: list_contacts(*given, 1536))
+    found = made(particles, membrane, jnp.asarray(1.2))
+    count = int(found.real.sum())
+    assert not found.overflow
+    pairs = np.stack([found.particle, found.face])[:, :count]
+    np.testing.assert_array_equal(pairs, np.nonzero(table < 1.2))
+    assert count > 100
 
 
 def test_list_that_is_too_small_says_so(crowd):
