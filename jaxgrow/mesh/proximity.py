@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+from itertools import chain
+from typing import NamedTuple
+
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
-from jaxgrow.mesh.quality import area_vectors, lengths
+from jaxgrow.mesh.quality import area_vectors, lengths, unit
+
+
+_AT_ONCE = 4096
+"""Points whose candidates are in memory at a time."""
+
+_ROUNDING = 1e-12
+"""Of squared distances relative to that of the centre, generously."""
 
 
 def closest_on_triangles(
@@ -58,16 +68,154 @@ def closest_on_triangles(
     return distance, np.where(inside[:, None], inner, weights)
 
 
+class _Discs(NamedTuple):
+    """The disc around each triangle's centre, in its plane, that holds it.
+
+    Attributes:
+        centre: Of the triangles.
+        radius: Of the spheres and discs around them.
+        normal: Unit normals; zero without an area, so that the disc is the sphere.
+        thickness: How far a corner is off the plane: by rounding.
+    """
+
+    centre: Float[np.ndarray, "f 3"]
+    radius: Float[np.ndarray, " f"]
+    normal: Float[np.ndarray, "f 3"]
+    thickness: Float[np.ndarray, " f"]
+
+    def within(
+        self,
+        points: Float[np.ndarray, "n 3"],
+        which: Int[np.ndarray, " n"],
+        distance: Float[np.ndarray, " n"],
+    ) -> Bool[np.ndarray, " n"]:
+        """Whether the sphere and the disc of a triangle are within a distance."""
+        offset = points - self.centre[which]
+        away, radius = lengths(offset), self.radius[which]
+        near = np.flatnonzero(away - radius < distance)
+        offset, away, radius, which = (
+            offset[near],
+            away[near],
+            radius[near],
+            which[near],
+        )
+        height = np.abs(np.einsum("ni,ni->n", offset, self.normal[which]))
+        beside = np.sqrt(np.maximum(away**2 - height**2, 0.0))
+        square = np.maximum(height - self.thickness[which], 0.0) ** 2
+        square += np.maximum(beside - radius, 0.0) ** 2
+        within = np.zeros(len(points), dtype=bool)
+        within[near] = square < distance[near] ** 2 + _ROUNDING * away**2
+        return within
+
+
+def _discs(triangles: Float[np.ndarray, "f 3 3"]) -> _Discs:
+    centre = triangles.mean(axis=1)
+    arms = triangles - centre[:, None]
+    normal = unit(area_vectors(triangles))
+    off = np.abs(np.einsum("fki,fi->fk", arms, normal)).max(axis=1)
+    return _Discs(centre, lengths(arms).max(axis=1), normal, off)
+
+
+class Nearest(NamedTuple):
+    """Where each point is nearest to a mesh.
+
+    Attributes:
+        distance: Exact distance.
+        face: The face where it is reached; of equally near ones (a closest point on an
+            edge) any one.
+        closest: The closest point.
+    """
+
+    distance: Float[np.ndarray, " n"]
+    face: Int[np.ndarray, " n"]
+    closest: Float[np.ndarray, "n 3"]
+
+
+class Proximity:
+    """A mesh made ready to be asked for its nearest points again and again.
+
+    Triangles are sorted into classes of like size. In each class the triangles with
+    the nearest centres give an upper bound d, and of those whose centre is within d
+    plus the class's radius every one is measured whose disc is within d: from a point
+    far away many spheres around triangles are as near as the nearest triangle, but
+    few discs are. Nothing nearer can be missed.
+    """
+
+    def __init__(
+        self, vertices: Float[np.ndarray, "m 3"], faces: Int[np.ndarray, "f 3"]
+    ) -> None:
+        """Sort the triangles.
+
+        Args:
+            vertices: Mesh vertices.
+            faces: Mesh faces, at least one.
+
+        Raises:
+            ValueError: The mesh has no face.
+        """
+        if not len(faces):
+            raise ValueError(
+                "the mesh has no face; a distance to nothing is undefined."
+            )
+        self._triangles = vertices[faces]
+        self._discs = _discs(self._triangles)
+        radius = self._discs.radius
+        sizes = np.ceil(np.log2(np.maximum(radius, radius.max() * 1e-6 + 1e-300)))
+        self._classes = [
+            (members, KDTree(self._discs.centre[members]), radius[members].max())
+            for members in (np.flatnonzero(sizes == size) for size in np.unique(sizes))
+        ]
+
+    def nearest(self, points: Float[np.ndarray, "n 3"]) -> Nearest:
+        """Distances, faces and closest points, in the mesh's unit of length."""
+        parts = [
+            self._nearest(points[begin : begin + _AT_ONCE])
+            for begin in range(0, max(len(points), 1), _AT_ONCE)
+        ]
+        return Nearest(
+            *(np.concatenate(columns) for columns in zip(*parts, strict=True))
+        )
+
+    def _nearest(self, points: Float[np.ndarray, "n 3"]) -> Nearest:
+        best = np.full(len(points), np.inf)
+        face = np.zeros(len(points), dtype=np.int64)
+        weights = np.zeros((len(points), 3))
+
+        def measure(rows: Int[np.ndarray, " p"], tried: Int[np.ndarray, " p"]) -> None:
+            """Measure pairs and keep what is nearer; pairs come sorted by row."""
+            triangles = self._triangles[tried]
+            distance, weight = closest_on_triangles(points[rows], triangles)
+            order = np.lexsort((distance, rows))
+            first = order[np.unique(rows[order], return_index=True)[1]]
+            first = first[distance[first] < best[rows[first]]]
+            best[rows[first]] = distance[first]
+            face[rows[first]] = tried[first]
+            weights[rows[first]] = weight[first]
+
+        everyone = np.arange(len(points))
+        for members, tree, radius in self._classes:
+            k = min(3, len(members))
+            _, near = tree.query(points, k=k)
+            measure(np.repeat(everyone, k), members[near.ravel()])
+            found = tree.query_ball_point(points, best + radius)
+            count = np.fromiter(map(len, found), dtype=np.int64, count=len(found))
+            rows = np.repeat(everyone, count)
+            flat = np.fromiter(chain.from_iterable(found), np.int64, count.sum())
+            tried = members[flat]
+            keep = self._discs.within(points[rows], tried, best[rows])
+            measure(rows[keep], tried[keep])
+        closest = np.einsum("nk,nki->ni", weights, self._triangles[face])
+        return Nearest(best, face, closest)
+
+
 def nearest_on_mesh(
     points: Float[np.ndarray, "n 3"],
     vertices: Float[np.ndarray, "m 3"],
     faces: Int[np.ndarray, "f 3"],
-) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
+) -> Nearest:
     """Exact distance to a mesh, the face where it is reached, and the closest point.
 
-    Triangles are sorted into classes of like size. In each class the triangles with
-    the nearest centres give an upper bound d, and every triangle whose centre is
-    within d plus the class's radius is measured. Nothing nearer can be missed.
+    For a mesh that is asked again, keep a `Proximity`.
 
     Args:
         points: Positions.
@@ -75,49 +223,12 @@ def nearest_on_mesh(
         faces: Mesh faces, at least one.
 
     Returns:
-        Distances, face indices, closest points. Among equally near faces (a closest
-        point on an edge) any one may be named.
+        Distances, face indices, closest points.
 
     Raises:
         ValueError: The mesh has no face.
     """
-    if not len(faces):
-        raise ValueError("the mesh has no face; a distance to nothing is undefined.")
-    triangles = vertices[faces]
-    centre = triangles.mean(axis=1)
-    radius = lengths(triangles - centre[:, None]).max(axis=1)
-    best = np.full(len(points), np.inf)
-    face = np.zeros(len(points), dtype=np.int64)
-    weights = np.zeros((len(points), 3))
-
-    def measure(rows: Int[np.ndarray, " p"], tried: Int[np.ndarray, " p"]) -> None:
-        """Measure pairs and keep what is nearer; pairs come sorted by row."""
-        distance, weight = closest_on_triangles(points[rows], triangles[tried])
-        order = np.lexsort((distance, rows))
-        first = order[np.unique(rows[order], return_index=True)[1]]
-        first = first[distance[first] < best[rows[first]]]
-        best[rows[first]] = distance[first]
-        face[rows[first]] = tried[first]
-        weights[rows[first]] = weight[first]
-
-    sizes = np.ceil(np.log2(np.maximum(radius, radius.max() * 1e-6 + 1e-300)))
-    everyone = np.arange(len(points))
-    for size in np.unique(sizes):
-        members = np.flatnonzero(sizes == size)
-        tree = KDTree(centre[members])
-        k = min(3, len(members))
-        _, near = tree.query(points, k=k)
-        measure(np.repeat(everyone, k), members[near.ravel()])
-        reach = best + radius[members].max()
-        found = tree.query_ball_point(points, reach)
-        count = np.fromiter(map(len, found), dtype=np.int64, count=len(found))
-        rows = np.repeat(everyone, count)
-        tried = members[np.concatenate([*found, []]).astype(np.int64)]
-        gap = lengths(points[rows] - centre[tried]) - radius[tried]
-        keep = gap < best[rows]
-        measure(rows[keep], tried[keep])
-    closest = np.einsum("nk,nki->ni", weights, triangles[face])
-    return best, face, closest
+    return Proximity(vertices, faces).nearest(points)
 
 
 def closest_on_segments(

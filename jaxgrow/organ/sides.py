@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxgrow.mesh.proximity import closest_on_triangles, nearest_on_mesh
+from jaxgrow.mesh.proximity import closest_on_triangles, Proximity
 from jaxgrow.mesh.quality import area_vectors, lengths, unit
 from jaxgrow.mesh.topology import build_topology
 
@@ -62,11 +63,15 @@ class Sides:
             vertices, self.faces
         )
 
+    @cached_property
+    def _proximity(self) -> Proximity:
+        return Proximity(self.vertices, self.faces)
+
     def measure(self, points: Float[np.ndarray, "n 3"]) -> Measured:
         """Distance, side and nearest triangle of each point."""
         if not len(points):
             return Measured(np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64))
-        distance, face, closest = nearest_on_mesh(points, self.vertices, self.faces)
+        distance, face, closest = self._proximity.nearest(points)
         weights = closest_on_triangles(points, self.vertices[self.faces[face]])[1]
         normal = self.face_normals[face]
         absent = weights == 0

@@ -36,6 +36,9 @@ missing before the distance shrinks."""
 BATCH = 2000
 """Darts a batch."""
 
+LATEST = 0.1
+"""Share of the darts that may come before the tree of the others is made anew."""
+
 CELL = 0.7
 """Side, over the spacing, of the cells that the layer is surveyed with."""
 
@@ -237,18 +240,20 @@ def _throw_darts(
     Returns:
         The particles, their depths, and the distance in the end.
     """
-    there = np.zeros((0, 3)) if around is None else around
-    far = np.flatnonzero(_apart(survey.points, there, distance))
+    taken = _Taken(np.zeros((0, 3)) if around is None else around)
+    far = np.flatnonzero(taken.apart(survey.points, distance))
     first = far[_greedy(survey.points[far], distance)[:wanted]]
     points, depth = survey.points[first], survey.depth[first]
+    taken.add(points)
     idle = 0
     while len(points) < wanted:
         missing = wanted - len(points)
         near = survey.points[rng.integers(len(survey.points), size=BATCH)]
         darts = near + rng.uniform(-1, 1, size=(BATCH, 3)) * survey.cell
-        apart = _apart(darts, np.concatenate([there, points]), distance)
+        apart = taken.apart(darts, distance)
         new, new_depth, _ = space.inside(darts[apart])
         free = _greedy(new, distance)[:missing]
+        taken.add(new[free])
         points = np.concatenate([points, new[free]])
         depth = np.concatenate([depth, new_depth[free]])
         idle = 0 if 100 * len(free) >= missing else idle + 1
@@ -259,11 +264,32 @@ def _throw_darts(
     return points, depth, distance
 
 
-def _apart(
-    points: Float[np.ndarray, "n 3"], others: Float[np.ndarray, "o 3"], distance: float
-) -> Bool[np.ndarray, "n"]:
-    """Points that are not within a distance of any of the others."""
-    return np.isinf(KDTree(others).query(points, distance_upper_bound=distance)[0])
+class _Taken:
+    """Points in two trees: of most, and of the latest, which is made anew each time."""
+
+    def __init__(self, points: Float[np.ndarray, "n 3"]) -> None:
+        self._most, self._latest = points, points[:0]
+        self._trees = KDTree(points), KDTree(points[:0])
+
+    def add(self, points: Float[np.ndarray, "k 3"]) -> None:
+        """Take more."""
+        self._latest = np.concatenate([self._latest, points])
+        if len(self._latest) > LATEST * len(self._most):
+            self._most = np.concatenate([self._most, self._latest])
+            self._latest = self._latest[:0]
+            self._trees = KDTree(self._most), KDTree(self._latest)
+        else:
+            self._trees = self._trees[0], KDTree(self._latest)
+
+    def apart(
+        self, points: Float[np.ndarray, "n 3"], distance: float
+    ) -> Bool[np.ndarray, "n"]:
+        """Points that are not within a distance of any that is taken."""
+        apart = np.ones(len(points), dtype=bool)
+        for tree in self._trees:
+            near, _ = tree.query(points[apart], distance_upper_bound=distance)
+            apart[apart] = np.isinf(near)
+        return apart
 
 
 def _greedy(points: Float[np.ndarray, "n 3"], distance: float) -> Int[np.ndarray, "k"]:
