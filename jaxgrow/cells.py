@@ -1,7 +1,8 @@
 """Wide neighbour lists by jax-md's cells: the only module that imports jax-md.
 
 `make` runs on the host and decides capacities; `relist` runs in compiled code. Both
-leave the list itself, and the search for it, to jax-md.
+leave the list itself, and the search for it, to jax-md; of many points, jax-md finds
+the cells, and neighbours are searched for in them here, in portions.
 """
 
 import contextlib
@@ -28,6 +29,12 @@ _SHIFT = 512.0
 zero, so the cells around 0 would be two cells wide and hold eight times as much."""
 
 _HEADROOM = 1.25
+_MOST_AT_ONCE = 8192
+"""Up to as many points jax-md searches for the neighbours of all at once."""
+
+_PORTION = 512
+"""Points at a time, of more."""
+
 _LEAST_WIDE = 48
 _LEAST_IN_CELL = 16
 
@@ -179,7 +186,52 @@ def most_neighbors(position: Float[Array, "n 3"], radius: float) -> int:
 def relist(wide: Any, position: Float[Array, "n 3"]) -> Any:
     """The list for these positions; its error is set if they do not fit."""
     with _permissive():
-        return wide.update(position + _SHIFT)  # no move is too small: dr_threshold is 0
+        moved = position + _SHIFT
+        if position.shape[0] <= _MOST_AT_ONCE:
+            return wide.update(moved)  # no move is too small: dr_threshold is 0
+        cells = wide.cell_list_fn.update(moved, wide.cell_list_capacity)
+    entries, most = _in_portions(wide, cells, moved)
+    code = _partition().PartitionErrorCode
+    error = wide.error.update(code.CELL_LIST_OVERFLOW, cells.did_buffer_overflow)
+    error = error.update(code.NEIGHBOR_LIST_OVERFLOW, most > wide.max_occupancy)
+    return dataclasses.replace(wide, idx=entries, reference_position=moved, error=error)
+
+
+def _in_portions(
+    wide: Any, cells: Any, position: Float[Array, "n 3"]
+) -> tuple[Int[Array, "n k"], Int[Array, ""]]:
+    """Entries as jax-md makes them, and the most of a point, for some points at a time.
+
+    jax-md stores all pairs of points in adjacent cells, a gigabyte for 100 000 points.
+    """
+    count, room = position.shape[0], wide.max_occupancy
+    side, slots = cells.id_buffer.shape[0], cells.id_buffer.shape[3]
+    held = cells.id_buffer.reshape(-1, slots)
+    way = jnp.arange(27, dtype=jnp.int32)
+    ways = jnp.stack([way // 9, way // 3 % 3, way % 3], axis=1) - 1
+    digits = jnp.array([1, side, side**2], jnp.int32)
+
+    def of_portion(start: Int[Array, ""]) -> tuple[Array, Array]:
+        own = jnp.minimum(start + jnp.arange(_PORTION, dtype=jnp.int32), count - 1)
+        around = (cells.particle_cell_id[own][:, None, :] + ways[None]) % side
+        cell = jnp.sum(around * digits[None, None, :], axis=2, dtype=jnp.int32)
+        other = held[cell].reshape(_PORTION, 27 * slots)
+        safe = jnp.minimum(other, count - 1)
+        square = jnp.zeros(other.shape, position.dtype)
+        for column in position.T:
+            square += (column[own][:, None] - column[safe]) ** 2
+        near = (other < count) & (square < wide.cell_size**2) & (other != own[:, None])
+        place = jnp.cumsum(near, axis=1, dtype=jnp.int32)
+        row = jnp.arange(_PORTION, dtype=jnp.int32)[:, None]
+        entries = jnp.full((_PORTION, room), count, jnp.int32)
+        entries = entries.at[row, jnp.where(near, place - 1, room)].set(
+            other, mode="drop"
+        )
+        return entries, jnp.max(place[:, -1])
+
+    starts = jnp.arange(0, count, _PORTION, dtype=jnp.int32)
+    entries, most = jax.lax.map(of_portion, starts)
+    return entries.reshape(-1, room)[:count], jnp.max(most)
 
 
 def moved(wide: Any, position: Float[Array, "n 3"]) -> Float[Array, "n 3"]:

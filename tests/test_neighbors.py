@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from jaxgrow import neighbors as nb
+from jaxgrow import cells, neighbors as nb
 from jaxgrow.energy.a2 import CUTOFF
 from jaxgrow.state import parked
 
@@ -312,3 +312,21 @@ def test_the_list_of_a_part_is_that_of_its_particles():
         part = update(part, jnp.asarray(slots))
         assert not part.overflow
         assert pairs_of(part, slots) == pairs_by_tree(slots)
+
+
+@pytest.mark.parametrize("crowded", [False, True])
+def test_list_made_in_portions_is_that_made_at_once(crowded, monkeypatch):
+    rng = np.random.default_rng(0)
+    position = jnp.asarray(rng.uniform(-9, 9, (2500, 3)))
+    wide = cells.make(position, cells.Hash.of(2500, 2.0))
+    if crowded:
+        position = 0.4 * position
+    whole = jax.jit(lambda at: cells.relist(wide, at))(position)
+    monkeypatch.setattr(cells, "_MOST_AT_ONCE", 0)
+    parts = jax.jit(lambda at: cells.relist(wide, at))(position)
+    assert jax.tree.structure(parts) == jax.tree.structure(whole)
+    assert (whole.error.code != 0) == crowded
+    assert parts.error.code == whole.error.code
+    if not crowded:
+        np.testing.assert_array_equal(parts.idx, whole.idx)
+        np.testing.assert_array_equal(parts.reference_position, position + 512.0)
