@@ -6,9 +6,12 @@ against them; `experiments/baselines.py` checks the yardsticks,
 `experiments/speed_error.py` measures, and draws what it measured (`figures`, `table`).
 """
 
+import os
 import sys
 from importlib.util import find_spec
 
+
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA:CPU cache loader noise
 
 if missing := [name for name in ("numba", "matplotlib") if find_spec(name) is None]:
     sys.exit(

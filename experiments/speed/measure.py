@@ -46,7 +46,6 @@ class Options:
 
 def configure(options: Options) -> None:
     """Set JAX up before its first use: device, threads, 64 bits, programs on disk."""
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     if options.threads:
         os.environ["NPROC"] = str(options.threads)
     jax.config.update("jax_enable_x64", True)
