@@ -74,9 +74,7 @@ def myoma(divisions: int) -> jg.Scene:
 def organ(tissue: int) -> jg.Scene:
     """A polyp on a solid block with a flat top, over that many tissue particles.
 
-    The more particles, the deeper the tissue; the patch stays the same. (A wide patch
-    does not do: contacts are sought among all pairs of a particle and a triangle, of
-    80 000 and 16 000 in 38 GB.)
+    The more particles, the deeper the tissue; the patch stays the same.
 
     Args:
         tissue: number of particles, about.
