@@ -64,7 +64,7 @@ class Result(enum.Enum):
     SLIVER = (
         12,
         "A triangle of the surface degenerated and could not be repaired; use stiffer "
-        "springs.",
+        "springs, or an organ's mesh with edges of at most 3 r0 around the site.",
     )
     SINGULAR = (
         13,

@@ -53,9 +53,9 @@ FILLED = 950.0
 PATIENCE = 300.0
 """Seconds after which a lesion is not grown again, once it has been three times."""
 
-COARSE = 8.0
-"""Longest edge of the block, in r0; the patch is refined anyway, and finer triangles
-make planting slower: many are equally near to what lies deep."""
+COARSE = 3.0
+"""Longest edge of the block, in r0. The patch is refined but for its rim: at edges of
+8 r0 there its triangles are so thin that the first fairing ends with `SLIVER`."""
 
 
 def polyp(divisions: int) -> jg.Scene:
