@@ -22,6 +22,7 @@ from jaxtyping import Array, Float, Int
 from scipy.spatial import KDTree
 
 from jaxgrow.capacity import capacity_for
+from jaxgrow.words import first_true
 
 
 _SHIFT = 512.0
@@ -29,6 +30,11 @@ _SHIFT = 512.0
 zero, so the cells around 0 would be two cells wide and hold eight times as much."""
 
 _HEADROOM = 1.25
+"""Room for neighbours, over how many there are."""
+
+_HEADROOM_IN_CELL = 1.15
+"""Room in a cell; every place in it is a candidate 27 times."""
+
 _MOST_AT_ONCE = 8192
 """Up to as many points jax-md searches for the neighbours of all at once."""
 
@@ -122,7 +128,7 @@ def _functions(of: Hash) -> tuple[Any, Any]:
             dr_threshold=0.0,
             format=partition.NeighborListFormat.Dense,
         ).update
-        return update, partition.cell_list(box, of.radius, _HEADROOM)
+        return update, partition.cell_list(box, of.radius, _HEADROOM_IN_CELL)
 
 
 def make(position: Float[Array, "n 3"], of: Hash, before: Any = None) -> Any:
@@ -141,7 +147,7 @@ def make(position: Float[Array, "n 3"], of: Hash, before: Any = None) -> Any:
     cell = np.trunc((points + _SHIFT) / of.size) % of.cells
     _, in_cell = np.unique(cell, axis=0, return_counts=True)
     wanted = math.ceil(_HEADROOM * most_neighbors(position, of.radius))
-    wanted_in_cell = math.ceil(_HEADROOM * in_cell.max(initial=1))
+    wanted_in_cell = math.ceil(_HEADROOM_IN_CELL * in_cell.max(initial=1))
     least, least_in_cell = _LEAST_WIDE, _LEAST_IN_CELL
     if before is not None:
         failed = bool(before.error.code != 0)
@@ -221,13 +227,12 @@ def _in_portions(
         for column in position.T:
             square += (column[own][:, None] - column[safe]) ** 2
         near = (other < count) & (square < wide.cell_size**2) & (other != own[:, None])
-        place = jnp.cumsum(near, axis=1, dtype=jnp.int32)
-        row = jnp.arange(_PORTION, dtype=jnp.int32)[:, None]
-        entries = jnp.full((_PORTION, room), count, jnp.int32)
-        entries = entries.at[row, jnp.where(near, place - 1, room)].set(
-            other, mode="drop"
+        places, found = first_true(near, room)
+        entries = jnp.take_along_axis(
+            other, jnp.minimum(places, other.shape[1] - 1), axis=1
         )
-        return entries, jnp.max(place[:, -1])
+        real = places < other.shape[1]
+        return jnp.where(real, entries, count), jnp.max(found)
 
     starts = jnp.arange(0, count, _PORTION, dtype=jnp.int32)
     entries, most = jax.lax.map(of_portion, starts)

@@ -34,7 +34,7 @@ SKIN = 0.2
 particles exceed it together."""
 
 WIDE_SKIN = 0.9
-_WIDE_SKIN_OF_MANY = 0.5
+_WIDE_SKIN_OF_MANY = 0.7
 """Extra radius of the wide list of few and of many particles: jax-md stores all pairs
 of adjacent cells when it makes one, which of many particles should not be too many."""
 
@@ -89,6 +89,13 @@ def allocate(
         before: a list that is to be replaced.
     """
     count = position.shape[0]
+    if before is not None and before.reference.shape == position.shape:
+        room = before.listed.shape[0]
+        while bool(_only_near_is_full(before, position)):
+            room += _OCCUPANCY_STEP
+            made = _filled(position, before.wide, room, relist=False)
+            if not made.full:
+                return made
     of = cells.Hash.of(count, CUTOFF + _skin(count))
     wide = cells.make(position, of, None if before is None else before.wide)
     most, least = cells.most_neighbors(position, CUTOFF + SKIN), _LEAST_OCCUPANCY
@@ -96,12 +103,27 @@ def allocate(
         # of positions that were given up since, for lack of room, nothing else is known
         least = before.listed.shape[0] + _OCCUPANCY_STEP * bool(before.full)
     room = max(_OCCUPANCY_STEP * -(-most // _OCCUPANCY_STEP), least)
-    return _filled(position, wide, room)
+    return _filled(position, wide, room, relist=True)
 
 
-@functools.partial(jax.jit, static_argnums=2)
-def _filled(position: Float[Array, "n 3"], wide: Any, room: int) -> Neighbors:
-    wide = cells.relist(wide, position)
+@jax.jit
+def _only_near_is_full(
+    neighbors: Neighbors, position: Float[Array, "n 3"]
+) -> Bool[Array, ""]:
+    """Whether the near list was too small, and the wide one holds here."""
+    return (
+        neighbors.full
+        & (neighbors.wide.error.code == 0)
+        & _wide_holds(neighbors, position)
+    )
+
+
+@functools.partial(jax.jit, static_argnums=2, static_argnames="relist")
+def _filled(
+    position: Float[Array, "n 3"], wide: Any, room: int, *, relist: bool
+) -> Neighbors:
+    if relist:
+        wide = cells.relist(wide, position)
     listed, most = _near(position, wide.idx, room)
     return Neighbors(listed, position, most > room, wide)
 
@@ -115,10 +137,7 @@ def rebuilt(
     neighbors: Neighbors, position: Float[Array, "n 3"], anew: Bool[Array, ""]
 ) -> Neighbors:
     """The list for these positions if it is to be made anew, else as it is."""
-    wide_holds = (
-        farthest_two(cells.moved(neighbors.wide, position))
-        <= neighbors.wide_skin - SKIN
-    )
+    wide_holds = _wide_holds(neighbors, position)
 
     def make() -> Neighbors:
         wide = jax.lax.cond(
@@ -138,6 +157,12 @@ def rebuilt(
         return jax.lax.cond(patch, lambda: _patched(neighbors, position), make)
 
     return jax.lax.cond(anew, patch_or_make, lambda: neighbors)
+
+
+def _wide_holds(neighbors: Neighbors, position: Float[Array, "n 3"]) -> Bool[Array, ""]:
+    """Whether a near list for these positions can be found in the wide one."""
+    moved = farthest_two(cells.moved(neighbors.wide, position))
+    return moved <= neighbors.wide_skin - SKIN
 
 
 def _most_strays(count: int) -> int:

@@ -330,3 +330,35 @@ def test_list_made_in_portions_is_that_made_at_once(crowded, monkeypatch):
     if not crowded:
         np.testing.assert_array_equal(parts.idx, whole.idx)
         np.testing.assert_array_equal(parts.reference_position, position + 512.0)
+
+
+def test_a_near_list_that_is_full_is_enlarged_from_the_wide_one():
+    position = box(13, scale=3.0)
+    room = 8
+    loose = nb.allocate(jnp.asarray(position))
+    short = nb.Neighbors(
+        loose.listed[:room], loose.reference, jnp.asarray(True), loose.wide
+    )
+    again = nb.allocate(jnp.asarray(position), short)
+    assert not again.overflow
+    kept = np.array_equal(again.wide.idx, loose.wide.idx)
+    assert kept  # and was not searched for again
+    assert again.listed.shape[0] > room
+    assert pairs_of(again, position) == pairs_by_tree(position)
+
+
+def test_a_near_list_that_was_full_elsewhere_gets_more_room():
+    position = box(14)
+    before = nb.allocate(jnp.asarray(position))
+    full = nb.Neighbors(before.listed, before.reference, jnp.asarray(True), before.wide)
+    again = nb.allocate(jnp.asarray(position), full)
+    assert again.listed.shape[0] > before.listed.shape[0]
+    assert pairs_of(again, position) == pairs_by_tree(position)
+
+
+def test_a_full_near_list_is_not_made_from_a_wide_one_that_does_not_hold():
+    position = box(15)
+    before = nb.allocate(jnp.asarray(position))
+    full = nb.Neighbors(before.listed, before.reference, jnp.asarray(True), before.wide)
+    far = box(16)
+    assert pairs_of(nb.allocate(jnp.asarray(far), full), far) == pairs_by_tree(far)

@@ -17,9 +17,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt
 
+from jaxgrow.words import bit_of_rank, BITS, count_bits, packed
 
-BITS = 32
-"""Of a word; also the number of spheres in a bundle."""
 
 FEW_PAIRS = 2**22
 """Up to as many pairs of a point and a sphere no bundles are tied."""
@@ -130,7 +129,7 @@ def count_inside(
 ) -> Int[Array, ""]:
     """How many pairs there are of a point and a sphere that it lies in."""
     if points.shape[0] * spheres.radius.shape[0] <= FEW_PAIRS:
-        held = _count_bits(_words(points, alive, _columns(spheres)))
+        held = count_bits(_words(points, alive, _columns(spheres)))
         return jnp.sum(held, dtype=jnp.int32)
     return _list_by_bundles(points, alive, spheres, 0).total
 
@@ -140,12 +139,7 @@ def list_true(mask: Bool[Array, " n"], size: int) -> tuple[Int[Array, " s"], Arr
 
     As ``jnp.nonzero``, which the processor does slowly.
     """
-    padded = jnp.pad(mask, (0, -mask.shape[0] % BITS)).reshape(-1, BITS)
-    value = jnp.uint32(1) << jnp.arange(BITS, dtype=jnp.uint32)
-    words = jnp.sum(
-        padded.astype(jnp.uint32) * value[None, :], axis=1, dtype=jnp.uint32
-    )
-    tally = _tally(words)
+    tally = _tally(packed(mask))
     place, bit = _set_bits(tally, size)
     return BITS * place + bit, tally.total
 
@@ -182,12 +176,8 @@ def _words(
     return jax.lax.cond(jnp.any(alive), filled, lambda: empty)
 
 
-def _count_bits(words: UInt[Array, "*n"]) -> Int[Array, "*n"]:
-    return jax.lax.population_count(words).astype(jnp.int32)
-
-
 def _tally(words: UInt[Array, " w"]) -> _Tally:
-    return _Tally(words, jnp.cumsum(_count_bits(words), dtype=jnp.int32))
+    return _Tally(words, jnp.cumsum(count_bits(words), dtype=jnp.int32))
 
 
 def _set_bits(
@@ -209,14 +199,8 @@ def _set_bits(
     place = jnp.searchsorted(tally.upto, number, side="right", method="scan")
     place = jnp.where(real, place, 0).astype(jnp.int32)
     word = tally.words[place]
-    rank = number - (tally.upto[place] - _count_bits(word))
-    bit = jnp.zeros(size, jnp.int32)
-    for half in (16, 8, 4, 2, 1):  # in which half of what is left it is
-        low = _count_bits(word & jnp.uint32((1 << half) - 1))
-        above = rank >= low
-        rank = jnp.where(above, rank - low, rank)
-        word = jnp.where(above, word >> jnp.uint32(half), word)
-        bit = jnp.where(above, bit + half, bit)
+    rank = number - (tally.upto[place] - count_bits(word))
+    bit = bit_of_rank(word, rank)
     return place, jnp.where(real, bit, 0)
 
 

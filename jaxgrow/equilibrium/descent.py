@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from jaxgrow.equilibrium.problem import Lists, Outgrown, Problem
 from jaxgrow.numerics import safe_norm
@@ -35,8 +35,9 @@ class Minimiser(Protocol):
         displacement: Float[Array, "d 3"],
         before: Float[Array, "d 3"],
         after: Float[Array, "d 3"],
+        made: Bool[Array, ""],
     ) -> PyTree:
-        """The memory after a displacement that was made."""
+        """The memory after a displacement, if it was made; else as it was."""
         ...
 
 
@@ -68,10 +69,10 @@ class _Now(eqx.Module):
     """A `Descent` without its lists, and what it tries next.
 
     Attributes:
-        nodes, force, memory, residual, steps, code: as there; no step is -1.
+        nodes, force, residual, steps, code: as there; no step is -1.
+        memory: of the minimiser after it proposed the step.
         trial: positions to evaluate next.
         step: the displacement to them, all 0 before the first step.
-        proposed: memory of the minimiser after it proposed that.
         outgrown: whether the lists do not hold there.
     """
 
@@ -83,7 +84,6 @@ class _Now(eqx.Module):
     code: Int[Array, ""]
     trial: Nodes
     step: Float[Array, "d 3"]
-    proposed: PyTree
     outgrown: Outgrown
 
 
@@ -168,9 +168,10 @@ def descend(
         def unless(wrong: Array, new: PyTree, old: PyTree) -> PyTree:
             return jax.tree.map(lambda a, b: jnp.where(wrong, b, a), new, old)
 
-        memory = minimiser.learn(now.proposed, now.step, before, force)
-        memory = unless(first | failed, memory, now.memory)
-        step, proposed = minimiser.propose(memory, force)
+        # the memory is large and carried once, so that it is written in place
+        made = ~(first | failed)
+        memory = minimiser.learn(now.memory, now.step, before, force, made)
+        step, memory = minimiser.propose(memory, force)
         uphill = jnp.sum(step * force) <= 0
         step = jnp.where(uphill, 0.05 * force, step)
         limit = _rows(bound)
@@ -188,7 +189,6 @@ def descend(
             jnp.where(stuck, Result.ON_MEMBRANE.code, code),
             trial,
             step,
-            proposed,
             problem.outgrown(trial, lists),
         )
 
@@ -216,7 +216,6 @@ def descend(
         jnp.asarray(Result.STEP_LIMIT.code),
         nodes,
         _rows(nothing),
-        memory,
         Outgrown.nothing(),
     )
     now, lists, rebuilds = jax.lax.while_loop(

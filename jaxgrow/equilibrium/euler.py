@@ -1,7 +1,7 @@
 """The paper's relaxation (its eq. 1) with all positions updated at once."""
 
 import equinox as eqx
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxgrow.types import Scalar
 
@@ -37,6 +37,7 @@ class Euler(eqx.Module):
         displacement: Float[Array, "d 3"],
         before: Float[Array, "d 3"],
         after: Float[Array, "d 3"],
+        made: Bool[Array, ""],
     ) -> None:
         """Nothing."""
-        del memory, displacement, before, after
+        del memory, displacement, before, after, made

@@ -6,7 +6,7 @@ pairs sit on a jump of the force.
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxgrow.types import Scalar
 
@@ -74,7 +74,9 @@ class FIRE(eqx.Module):
         displacement: Float[Array, "d 3"],
         before: Float[Array, "d 3"],
         after: Float[Array, "d 3"],
+        made: Bool[Array, ""],
     ) -> FIREMemory:
         """Take the velocity from the step that was made: a bound may have cut it."""
         del before, after
-        return eqx.tree_at(lambda m: m.velocity, memory, displacement / memory.step)
+        velocity = jnp.where(made, displacement / memory.step, memory.velocity)
+        return eqx.tree_at(lambda m: m.velocity, memory, velocity)

@@ -7,22 +7,26 @@ rounding while forces are still exact, so a search on the energy stalls early.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 
 class LBFGSMemory(eqx.Module):
-    """The last displacements and force changes, oldest first.
+    """The last displacements and force changes, in turns: a new one takes the oldest's.
+
+    So that a step writes one row of each, in place.
 
     Attributes:
         displacement: s of each pair, in r0; 0 for an empty slot.
         change: y of each pair, force before minus force after.
         inverse: 1 / (s · y), 0 for an empty slot.
+        oldest: index of the oldest pair.
         scale: length of a displacement per force, in r0/F(0), along new directions.
     """
 
     displacement: Float[Array, "k d 3"]
     change: Float[Array, "k d 3"]
     inverse: Float[Array, " k"]
+    oldest: Int[Array, ""]
     scale: Float[Array, ""]
 
 
@@ -44,6 +48,7 @@ class LBFGS(eqx.Module):
             empty,
             empty,
             jnp.zeros(self.pairs, force.dtype),
+            jnp.zeros((), int),
             jnp.asarray(self.first, force.dtype),
         )
 
@@ -51,24 +56,25 @@ class LBFGS(eqx.Module):
         self, memory: LBFGSMemory, force: Float[Array, "d 3"]
     ) -> tuple[Float[Array, "d 3"], LBFGSMemory]:
         """Displacement by the two-loop recursion; downhill for pairs with s · y > 0."""
+        slots = (memory.oldest + jnp.arange(self.pairs)) % self.pairs
 
         def backward(
-            rest: Float[Array, "d 3"], pair: tuple[Array, Array, Array]
+            rest: Float[Array, "d 3"], slot: Int[Array, ""]
         ) -> tuple[Array, Array]:
-            s, y, inverse = pair
-            weight = inverse * jnp.sum(s * rest)
+            s, y = memory.displacement[slot], memory.change[slot]
+            weight = memory.inverse[slot] * jnp.sum(s * rest)
             return rest - weight * y, weight
 
-        pairs = (memory.displacement, memory.change, memory.inverse)
-        rest, weights = jax.lax.scan(backward, force, pairs, reverse=True)
+        rest, weights = jax.lax.scan(backward, force, slots, reverse=True)
 
         def forward(
-            step: Float[Array, "d 3"], pair: tuple[Array, Array, Array, Array]
+            step: Float[Array, "d 3"], at: tuple[Array, Array]
         ) -> tuple[Array, None]:
-            s, y, inverse, weight = pair
-            return step + (weight - inverse * jnp.sum(y * step)) * s, None
+            slot, weight = at
+            s, y = memory.displacement[slot], memory.change[slot]
+            return step + (weight - memory.inverse[slot] * jnp.sum(y * step)) * s, None
 
-        step, _ = jax.lax.scan(forward, memory.scale * rest, (*pairs, weights))
+        step, _ = jax.lax.scan(forward, memory.scale * rest, (slots, weights))
         return step, memory
 
     def learn(
@@ -77,24 +83,22 @@ class LBFGS(eqx.Module):
         displacement: Float[Array, "d 3"],
         before: Float[Array, "d 3"],
         after: Float[Array, "d 3"],
+        made: Bool[Array, ""],
     ) -> LBFGSMemory:
         """Remember a step that was made, if the energy curves upwards along it."""
         change = before - after
-        curvature = jnp.sum(displacement * change)
-        size = jnp.sqrt(jnp.sum(displacement**2) * jnp.sum(change**2))
-        good = curvature > 1e-8 * size
-        safe = jnp.where(good, curvature, 1)
+        curvature, square = jnp.sum(displacement * change), jnp.sum(change**2)
+        size = jnp.sqrt(jnp.sum(displacement**2) * square)
+        good = made & (curvature > 1e-8 * size)
+        safe, slot = jnp.where(good, curvature, 1), memory.oldest
 
-        def push(store: Array, item: Array) -> Array:
-            return jnp.where(good, jnp.concatenate([store[1:], item[None]]), store)
+        def put(store: Array, item: Array) -> Array:
+            return store.at[slot].set(jnp.where(good, item, store[slot]))
 
         return LBFGSMemory(
-            push(memory.displacement, displacement),
-            push(memory.change, change),
-            push(memory.inverse, 1 / safe),
-            jnp.where(
-                good,
-                safe / jnp.where(good, jnp.sum(change**2), 1),
-                memory.scale,
-            ),
+            put(memory.displacement, displacement),
+            put(memory.change, change),
+            put(memory.inverse, 1 / safe),
+            (slot + good.astype(slot.dtype)) % self.pairs,
+            jnp.where(good, safe / jnp.where(good, square, 1), memory.scale),
         )

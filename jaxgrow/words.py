@@ -1,0 +1,62 @@
+"""Masks as the bits of words: of few that are true, they are found fast.
+
+The processor's ``jnp.nonzero`` and ``jnp.cumsum`` go through every entry of a mask
+several times; words are counted 32 entries at a time.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Int, UInt
+
+
+BITS = 32
+"""Of a word."""
+
+
+def packed(mask: Bool[Array, "*b n"]) -> UInt[Array, "*b w"]:
+    """The words of a mask, along its last axis; entry 32 w + j is bit j of word w."""
+    *batch, count = mask.shape
+    spare = [(0, 0)] * len(batch) + [(0, -count % BITS)]
+    bits = jnp.pad(mask, spare).reshape(*batch, -1, BITS).astype(jnp.uint32)
+    value = jnp.uint32(1) << jnp.arange(BITS, dtype=jnp.uint32)
+    value = jnp.expand_dims(value, range(bits.ndim - 1))
+    return jnp.sum(bits * value, axis=-1, dtype=jnp.uint32)
+
+
+def count_bits(words: UInt[Array, "*n"]) -> Int[Array, "*n"]:
+    """How many bits of each word are set."""
+    return jax.lax.population_count(words).astype(jnp.int32)
+
+
+def bit_of_rank(words: UInt[Array, "*n"], rank: Int[Array, "*n"]) -> Int[Array, "*n"]:
+    """Which bit of each word is the one with so many set bits below it."""
+    bit = jnp.zeros(words.shape, jnp.int32)
+    for half in (16, 8, 4, 2, 1):  # in which half of what is left it is
+        low = count_bits(words & jnp.uint32((1 << half) - 1))
+        above = rank >= low
+        rank = jnp.where(above, rank - low, rank)
+        words = jnp.where(above, words >> jnp.uint32(half), words)
+        bit = jnp.where(above, bit + half, bit)
+    return bit
+
+
+def first_true(
+    mask: Bool[Array, "b n"], room: int
+) -> tuple[Int[Array, "b k"], Int[Array, " b"]]:
+    """Where each row is true, ascending, n behind the last; and how often it is.
+
+    Args:
+        mask: row by row.
+        room: how many entries of a row are wanted at most.
+    """
+    words = packed(mask)
+    upto = jnp.cumsum(count_bits(words), axis=1, dtype=jnp.int32)
+    number = jnp.arange(room, dtype=jnp.int32)
+    before = upto[:, None, :] <= number[None, :, None]
+    place = jnp.sum(before, axis=2, dtype=jnp.int32)
+    place = jnp.minimum(place, words.shape[1] - 1)
+    word = jnp.take_along_axis(words, place, axis=1)
+    rank = number[None] - jnp.take_along_axis(upto, place, axis=1) + count_bits(word)
+    found = BITS * place + bit_of_rank(word, rank)
+    total = upto[:, -1]
+    return jnp.where(number[None] < total[:, None], found, mask.shape[1]), total
