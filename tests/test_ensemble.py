@@ -186,6 +186,8 @@ def interrupt(member):
     threading.Timer(0.5, os.kill, [os.getpid(), signal.SIGINT]).start()
 
 if __name__ == "__main__":
+    # where the tests themselves run in the background, SIGINT is ignored
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     ensemble._grow = grow
     for seeds, finished in ([-1, 0, 1, 2], None), ([0, 1], refuse), ([0, 1], interrupt):
         try:
