@@ -35,8 +35,8 @@ particles exceed it together."""
 
 WIDE_SKIN = 0.9
 _WIDE_SKIN_OF_MANY = 0.7
-"""Extra radius of the wide list of few and of many particles: jax-md stores all pairs
-of adjacent cells when it makes one, which of many particles should not be too many."""
+"""Extra radius of the wide list of few and of many particles: the longer one holds for
+longer, and takes longer to make, which counts where there are many."""
 
 FEW = 4096
 
@@ -90,12 +90,12 @@ def allocate(
     """
     count = position.shape[0]
     if before is not None and before.reference.shape == position.shape:
-        room = before.listed.shape[0]
-        while bool(_only_near_is_full(before, position)):
-            room += _OCCUPANCY_STEP
-            made = _filled(position, before.wide, room, relist=False)
-            if not made.full:
-                return made
+        made = before
+        if bool(_only_near_is_full(before, position)):
+            while bool(made.full):
+                room = made.listed.shape[0] + _OCCUPANCY_STEP
+                made = _filled(position, before.wide, room, relist=False)
+            return made
     of = cells.Hash.of(count, CUTOFF + _skin(count))
     wide = cells.make(position, of, None if before is None else before.wide)
     most, least = cells.most_neighbors(position, CUTOFF + SKIN), _LEAST_OCCUPANCY
@@ -137,9 +137,8 @@ def rebuilt(
     neighbors: Neighbors, position: Float[Array, "n 3"], anew: Bool[Array, ""]
 ) -> Neighbors:
     """The list for these positions if it is to be made anew, else as it is."""
-    wide_holds = _wide_holds(neighbors, position)
 
-    def make() -> Neighbors:
+    def make(wide_holds: Bool[Array, ""]) -> Neighbors:
         wide = jax.lax.cond(
             wide_holds,
             lambda: neighbors.wide,
@@ -151,10 +150,13 @@ def rebuilt(
 
     def patch_or_make() -> Neighbors:
         _, strays = _far(neighbors, position)
+        wide_holds = _wide_holds(neighbors, position)
         patch = strays <= _most_strays(position.shape[0])
         if position.shape[0] <= FEW:  # then it costs less to look through the wide list
             patch &= ~wide_holds
-        return jax.lax.cond(patch, lambda: _patched(neighbors, position), make)
+        return jax.lax.cond(
+            patch, lambda: _patched(neighbors, position), lambda: make(wide_holds)
+        )
 
     return jax.lax.cond(anew, patch_or_make, lambda: neighbors)
 

@@ -182,6 +182,15 @@ def grow(scene, seed, *rest):
 def refuse(member):
     raise LookupError(member)
 
+def exists(pid):
+    # is_alive would be late: the pool's own thread may have waited for the process
+    # and not yet noted its end
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
 def interrupt(member):
     threading.Timer(0.5, os.kill, [os.getpid(), signal.SIGINT]).start()
 
@@ -193,7 +202,8 @@ if __name__ == "__main__":
         try:
             ensemble.grow_many(scene, seeds=seeds, processes=2, finished=finished)
         except BaseException as error:
-            print(type(error).__name__, multiprocessing.active_children())
+            members = multiprocessing.active_children()
+            print(type(error).__name__, [m for m in members if exists(m.pid)])
 """
     done = run(script(code))
     told = ["ValueError []", "LookupError []", "KeyboardInterrupt []"]

@@ -32,22 +32,20 @@ STYLES = {
 }
 """Colour, mark and line of each method, the same in all figures."""
 
+_OF_PARTICLES = {
+    "position_rms": "position, rms (r0)",
+    "energy_relative": "energy, relative",
+    "residual": "largest force (F(0))",
+}
+
 PRECISION = {
     "tolerance": (
         "free ball",
-        {
-            "position_rms": "position, rms (r0)",
-            "energy_relative": "energy, relative",
-            "residual": "largest force (F(0))",
-        },
+        _OF_PARTICLES,
     ),
     "division": (
         "ball after a division",
-        {
-            "position_rms": "position, rms (r0)",
-            "energy_relative": "energy, relative",
-            "residual": "largest force (F(0))",
-        },
+        _OF_PARTICLES,
     ),
     "polyp-tolerance": (
         "polyp after a division",

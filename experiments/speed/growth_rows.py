@@ -1,7 +1,6 @@
 """Rows: growing a free cluster from one particle, every division relaxed."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,10 +20,6 @@ TOLERANCE = 1e-4
 
 JAX_MD_UP_TO = 300
 """Particles up to which jax-md grows the same cluster: of 1000 it takes minutes."""
-
-PATIENCE = 300.0
-"""Seconds after which a contender is not measured again, once it has been three times.
-"""
 
 PARKING = 4.0
 """Distance of slots that are not used yet, in r0."""
@@ -117,24 +112,14 @@ def grow_free(count: int, options: Options) -> Iterator[Row]:
         # capacities are those of the final state, with jax-md's own headroom
         fire = FIRE(final, (-radius, room))
         contenders["jax-md"] = lambda _: grow_jax_md(divisions, fire, radius)
-    measured = measure_in_turns(
-        contenders,
-        replace(options, patience=min(options.patience, PATIENCE)),
-        shortest=0.0,
+    measured = measure_in_turns(contenders, options.limited(), shortest=0.0)
+    ends = {name: outcomes[-1] for name, outcomes in measured.outcomes.items()}
+    growth = ends["jaxgrow"]
+    ends["jaxgrow"] = Grown(
+        get_particles(growth.state.particles)[0],
+        max(record["residual"] for record in growth.history),
+        sum(record["steps"] for record in growth.history),
     )
-    growth = measured.outcomes["jaxgrow"][-1]
-    ends = {
-        "jaxgrow": Grown(
-            get_particles(growth.state.particles)[0],
-            max(record["residual"] for record in growth.history),
-            sum(record["steps"] for record in growth.history),
-        ),
-        **{
-            name: measured.outcomes[name][-1]
-            for name in contenders
-            if name != "jaxgrow"
-        },
-    }
     shared: dict[str, Any] = {
         "errors": {
             name: {

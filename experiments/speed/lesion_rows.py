@@ -13,7 +13,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -49,9 +48,6 @@ RADIUS = 16.0
 
 FILLED = 950.0
 """Tissue particles under it for every r0 of depth, about."""
-
-PATIENCE = 300.0
-"""Seconds after which a lesion is not grown again, once it has been three times."""
 
 COARSE = 3.0
 """Longest edge of the block, in r0. The patch is refined but for its rim: at edges of
@@ -167,10 +163,9 @@ def lesion(
         bar: of the ratio.
     """
     scene = SCENES[name](divisions)
-    patience = min(options.patience, PATIENCE)
     measured = measure_in_turns(
         {"jaxgrow": lambda _: jg.grow(scene, tolerance=TOLERANCE)},
-        replace(options, patience=patience),
+        options.limited(),
         shortest=0.0,
     )
     seconds, cpu = (of["jaxgrow"] for of in (measured.seconds, measured.cpu_seconds))
@@ -238,7 +233,7 @@ def organ_1e5(options: Options) -> Iterator[Row]:
 
     measured = measure_in_turns(
         {"jaxgrow": divide},
-        replace(options, patience=min(options.patience, PATIENCE)),
+        options.limited(),
         shortest=0.0,
     )
     made, by_phase = measured.outcomes["jaxgrow"][-1]

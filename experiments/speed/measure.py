@@ -6,7 +6,7 @@ import platform
 import statistics
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -19,6 +19,9 @@ from jaxgrow.report import versions
 
 FEWEST = 3
 """Repetitions of what takes longer than is waited for."""
+
+PATIENCE = 300.0
+"""Seconds after which what takes minutes is not measured again."""
 
 SHORTEST = 0.05
 """Seconds that a measurement lasts at least; what is faster is repeated within it."""
@@ -42,6 +45,10 @@ class Options:
     device: str = "cpu"
     threads: int = 1
     patience: float = math.inf
+
+    def limited(self) -> "Options":
+        """The same for contenders that may take minutes."""
+        return replace(self, patience=min(self.patience, PATIENCE))
 
 
 def configure(options: Options) -> None:
