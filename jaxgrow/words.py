@@ -4,6 +4,8 @@ The processor's ``jnp.nonzero`` and ``jnp.cumsum`` go through every entry of a m
 several times; words are counted 32 entries at a time.
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Int, UInt
@@ -11,6 +13,23 @@ from jaxtyping import Array, Bool, Int, UInt
 
 BITS = 32
 """Of a word."""
+
+
+class Tally(NamedTuple):
+    """Words, and how many bits are set in them.
+
+    Attributes:
+        words: row by row.
+        upto: bits set in each and in those before it.
+    """
+
+    words: UInt[Array, " w"]
+    upto: Int[Array, " w"]
+
+    @property
+    def total(self) -> Int[Array, ""]:
+        """Of the bits that are set."""
+        return self.upto[-1]
 
 
 def packed(mask: Bool[Array, "*b n"]) -> UInt[Array, "*b w"]:
@@ -60,3 +79,42 @@ def first_true(
     found = BITS * place + bit_of_rank(word, rank)
     total = upto[:, -1]
     return jnp.where(number[None] < total[:, None], found, mask.shape[1]), total
+
+
+def counted(words: UInt[Array, " w"]) -> Tally:
+    """The words with the counts of their bits."""
+    return Tally(words, jnp.cumsum(count_bits(words), dtype=jnp.int32))
+
+
+def set_bits(
+    tally: Tally, size: int, start: int | Array = 0
+) -> tuple[Int[Array, " s"], Int[Array, " s"]]:
+    """The bits that are set, word by word, from the number `start` on.
+
+    Args:
+        tally: of the words.
+        size: how many of them are wanted.
+        start: how many are left out.
+
+    Returns:
+        The word of each and its bit, both 0 for padding.
+    """
+    number = start + jnp.arange(size, dtype=jnp.int32)
+    real = number < tally.total
+    # a loop: unrolled, the compiler would search again for every use of the place
+    place = jnp.searchsorted(tally.upto, number, side="right", method="scan")
+    place = jnp.where(real, place, 0).astype(jnp.int32)
+    word = tally.words[place]
+    rank = number - (tally.upto[place] - count_bits(word))
+    bit = bit_of_rank(word, rank)
+    return place, jnp.where(real, bit, 0)
+
+
+def list_true(mask: Bool[Array, " n"], size: int) -> tuple[Int[Array, " s"], Array]:
+    """Where a mask is true, ascending, then 0; and how often it is.
+
+    As ``jnp.nonzero``, which the processor does slowly.
+    """
+    tally = counted(packed(mask))
+    place, bit = set_bits(tally, size)
+    return BITS * place + bit, tally.total

@@ -1,10 +1,11 @@
 """Masks as words against NumPy's flatnonzero."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrow.words import bit_of_rank, count_bits, first_true, packed
+from jaxgrow.words import bit_of_rank, count_bits, first_true, list_true, packed
 
 
 def masks(count, share, rows=7):
@@ -45,3 +46,15 @@ def test_bits_are_found_by_their_rank():
         for word, found in zip(words[some].tolist(), np.asarray(bit), strict=True):
             assert word >> int(found) & 1
             assert (word & ((1 << int(found)) - 1)).bit_count() == rank
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 1.0])
+@pytest.mark.parametrize("length", [1, 32, 1000])
+def test_list_of_a_mask_is_that_of_nonzero(share, length):
+    mask = np.random.default_rng(0).uniform(size=length) < share
+    found, count = jax.jit(list_true, static_argnums=1)(jnp.asarray(mask), 300)
+    (wanted,) = np.nonzero(mask)
+    assert count == len(wanted)
+    padded = np.zeros(300, int)
+    padded[: min(300, len(wanted))] = wanted[:300]
+    np.testing.assert_array_equal(found, padded)

@@ -23,11 +23,12 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxgrow.energy.a2 import A2, CUTOFF
 from jaxgrow.energy.distance import split, triangle_distance
 from jaxgrow.energy.smooth_minimum import smooth_minimum
-from jaxgrow.energy.spheres import count_inside, list_inside, list_true, Spheres
+from jaxgrow.energy.spheres import count_inside, list_inside, Spheres
 from jaxgrow.numerics import safe_norm, smallest_distance
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Membrane, Particles
 from jaxgrow.types import Scalar
+from jaxgrow.words import list_true
 
 
 class Contacts(eqx.Module):

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt
 
-from jaxgrow.words import bit_of_rank, BITS, count_bits, packed
+from jaxgrow.words import BITS, count_bits, counted, set_bits
 
 
 FEW_PAIRS = 2**22
@@ -88,23 +88,6 @@ class _Bundles(NamedTuple):
     which: Int[Array, "b w"]
 
 
-class _Tally(NamedTuple):
-    """Words, and how many bits are set in them.
-
-    Attributes:
-        words: row by row.
-        upto: bits set in each and in those before it.
-    """
-
-    words: UInt[Array, " w"]
-    upto: Int[Array, " w"]
-
-    @property
-    def total(self) -> Int[Array, ""]:
-        """Of the bits that are set."""
-        return self.upto[-1]
-
-
 def list_inside(
     points: Float[Array, "n 3"], alive: Bool[Array, " n"], spheres: Spheres, size: int
 ) -> Inside:
@@ -118,8 +101,8 @@ def list_inside(
     """
     if points.shape[0] * spheres.radius.shape[0] <= FEW_PAIRS:
         words = _words(points, alive, _columns(spheres))
-        tally = _tally(words.reshape(-1))
-        pairs = _pairs(*_set_bits(tally, size), words.shape[1])
+        tally = counted(words.reshape(-1))
+        pairs = _pairs(*set_bits(tally, size), words.shape[1])
         return Inside(*pairs, tally.total)
     return _list_by_bundles(points, alive, spheres, size)
 
@@ -132,16 +115,6 @@ def count_inside(
         held = count_bits(_words(points, alive, _columns(spheres)))
         return jnp.sum(held, dtype=jnp.int32)
     return _list_by_bundles(points, alive, spheres, 0).total
-
-
-def list_true(mask: Bool[Array, " n"], size: int) -> tuple[Int[Array, " s"], Array]:
-    """Where a mask is true, ascending, then 0; and how often it is.
-
-    As ``jnp.nonzero``, which the processor does slowly.
-    """
-    tally = _tally(packed(mask))
-    place, bit = _set_bits(tally, size)
-    return BITS * place + bit, tally.total
 
 
 def _columns(spheres: Spheres) -> _Columns:
@@ -176,34 +149,6 @@ def _words(
     return jax.lax.cond(jnp.any(alive), filled, lambda: empty)
 
 
-def _tally(words: UInt[Array, " w"]) -> _Tally:
-    return _Tally(words, jnp.cumsum(count_bits(words), dtype=jnp.int32))
-
-
-def _set_bits(
-    tally: _Tally, size: int, start: int | Array = 0
-) -> tuple[Int[Array, " s"], Int[Array, " s"]]:
-    """The bits that are set, word by word, from the number `start` on.
-
-    Args:
-        tally: of the words.
-        size: how many of them are wanted.
-        start: how many are left out.
-
-    Returns:
-        The word of each and its bit, both 0 for padding.
-    """
-    number = start + jnp.arange(size, dtype=jnp.int32)
-    real = number < tally.total
-    # a loop: unrolled, the compiler would search again for every use of the place
-    place = jnp.searchsorted(tally.upto, number, side="right", method="scan")
-    place = jnp.where(real, place, 0).astype(jnp.int32)
-    word = tally.words[place]
-    rank = number - (tally.upto[place] - count_bits(word))
-    bit = bit_of_rank(word, rank)
-    return place, jnp.where(real, bit, 0)
-
-
 def _pairs(
     place: Int[Array, " s"], bit: Int[Array, " s"], columns: int
 ) -> tuple[Int[Array, " s"], Int[Array, " s"]]:
@@ -217,18 +162,18 @@ def _list_by_bundles(
     points, spheres = jax.lax.stop_gradient((points, spheres))  # a loop of any length
     bundles = _tied(spheres)
     words = _words(points, alive, _columns(bundles.around))
-    tally = _tally(words.reshape(-1))
+    tally = counted(words.reshape(-1))
 
     def in_round(state: tuple[Array, Inside]) -> tuple[Array, Inside]:
         start, found = state
-        asked = _set_bits(tally, ROUND, start)
+        asked = set_bits(tally, ROUND, start)
         point, bundle = _pairs(*asked, words.shape[1])
         real = start + jnp.arange(ROUND, dtype=start.dtype) < tally.total
-        held = _tally(_member_words(points[point], real, bundles.member, bundle))
+        held = counted(_member_words(points[point], real, bundles.member, bundle))
 
         def listed(state: tuple[Array, Inside]) -> tuple[Array, Inside]:
             begin, found = state
-            which, bit = _set_bits(held, ROUND, begin)
+            which, bit = set_bits(held, ROUND, begin)
             at = jnp.minimum(found.total + begin, size)
             put = jax.lax.dynamic_update_slice
             point_at = put(found.point, point[which], (at,))

@@ -259,7 +259,8 @@ class Problem(eqx.Module):
         at = self.at(nodes)
         if distances is None:
             distances = at.distances(lists)
-        if lists.contacts is not None and distances.contact is not None:
+        if lists.contacts is not None:
+            assert distances.contact is not None
             particles, membrane = at.both()
             count = particles.position.shape[0]
             near = clearances(distances.contact, lists.contacts, membrane, count)
@@ -267,8 +268,9 @@ class Problem(eqx.Module):
                 jnp.minimum(limit.particles, 0.4 * near[0]),
                 jnp.minimum(limit.vertices, 0.4 * near[1]),
             )
-        if lists.collisions is not None and distances.collision is not None:
+        if lists.collisions is not None:
             assert at.membrane is not None
+            assert distances.collision is not None
             clear = collision_clearances(
                 at.membrane, lists.collisions, distances.collision
             )

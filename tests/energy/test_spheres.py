@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxgrow.energy import spheres
-from jaxgrow.energy.spheres import count_inside, list_inside, list_true, Spheres
+from jaxgrow.energy.spheres import count_inside, list_inside, Spheres
 
 
 POINTS, SPHERES = 150, 1100  # more than one word of bundles, and neither fills its last
@@ -119,18 +119,6 @@ def test_spheres_at_one_place_are_all_listed(way):
     assert count == len(wanted[0]) >= 7 * SPHERES
     np.testing.assert_array_equal(point[:count], wanted[0])
     np.testing.assert_array_equal(sphere[:count], wanted[1])
-
-
-@pytest.mark.parametrize("share", [0.0, 0.1, 1.0])
-@pytest.mark.parametrize("length", [1, 32, 1000])
-def test_list_of_a_mask_is_that_of_nonzero(share, length):
-    mask = np.random.default_rng(0).uniform(size=length) < share
-    found, count = jax.jit(list_true, static_argnums=1)(jnp.asarray(mask), 300)
-    (wanted,) = np.nonzero(mask)
-    assert count == len(wanted)
-    padded = np.zeros(300, int)
-    padded[: min(300, len(wanted))] = wanted[:300]
-    np.testing.assert_array_equal(found, padded)
 
 
 def test_no_table_of_all_pairs_is_made_of_many_points_and_spheres():
