@@ -8,8 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.sparse import lil_array
-from scipy.sparse.linalg import spsolve
 from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist
 
@@ -20,7 +18,6 @@ from jaxgrow.equilibrium.problem import Lists, Problem
 from jaxgrow.equilibrium.relax import relax
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
-from jaxgrow.state import Membrane
 
 
 def everybody(count):
@@ -33,27 +30,6 @@ def dense_residual(particles, parameters=None):
     count = particles.position.shape[0]
     force = pair_force(particles, everybody(count), parameters or Parameters())
     return np.linalg.norm(np.asarray(force)[np.asarray(particles.free)], axis=1).max()
-
-
-def chain_of(vertices, edges, rest, pinned):
-    """A membrane of springs alone, in the arrays that the others have."""
-
-    def pad(array, capacity):
-        array = np.asarray(array)
-        rows = [(0, capacity - len(array))] + [(0, 0)] * (array.ndim - 1)
-        return jnp.asarray(np.pad(array, rows))
-
-    return Membrane(
-        pad(vertices, 256),
-        jnp.zeros((512, 3), int),
-        pad(edges, 768),
-        pad(rest, 768),
-        jnp.arange(256) < len(vertices),
-        jnp.zeros(512, bool),
-        jnp.arange(768) < len(edges),
-        pad(pinned, 256),
-        jnp.asarray(-1),
-    )
 
 
 # particles alone
@@ -150,102 +126,6 @@ def test_order_of_the_particles_is_irrelevant_at_the_end(make_particles):
     second = relax(make_particles(position[order]), tolerance=1e-9).state[0].position
     # rounding on the way may turn and shift a free cluster as a whole
     np.testing.assert_allclose(pdist(second[:20]), pdist(first[order]), atol=1e-7)
-
-
-# a membrane alone
-
-
-@pytest.mark.parametrize("pretension", [0.0, 0.1])
-def test_loaded_chain_stretches_by_force_over_stiffness(load, pretension):
-    count, stiffness, pull = 6, 0.5, 0.2
-    vertices = np.zeros((count, 3))
-    vertices[:, 0] = np.arange(count) + 0.05 * np.sin(np.arange(count))
-    edges = np.stack([np.arange(count - 1), np.arange(1, count)], axis=1)
-    rest = np.linspace(0.8, 1.2, count - 1)
-    chain = chain_of(vertices, edges, rest, np.arange(count) == 0)
-    outcome = relax(
-        None,
-        chain,
-        parameters=Parameters(
-            spring_stiffness=jnp.asarray(stiffness), pretension=jnp.asarray(pretension)
-        ),
-        tolerance=1e-9,
-        load=load(count - 1, [pull, 0, 0]),
-    )
-    assert outcome.result is Result.CONVERGED
-    lengths = (1 - pretension) * rest + pull / stiffness
-    found = np.asarray(outcome.state[1].vertices)[:count]
-    wanted = np.zeros((count, 3))
-    wanted[1:, 0] = np.cumsum(lengths)
-    np.testing.assert_allclose(found, wanted, atol=1e-7)
-
-
-def test_hub_on_spokes_sags_to_the_closed_form(load):
-    spokes, stiffness, depth = 8, 0.3, 0.75
-    angle = 2 * np.pi * np.arange(spokes) / spokes
-    rim = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
-    vertices = np.concatenate([[[0.0, 0.0, 0.01]], rim])
-    edges = np.stack([np.zeros(spokes, int), np.arange(1, spokes + 1)], axis=1)
-    hub = chain_of(vertices, edges, np.ones(spokes), np.arange(spokes + 1) > 0)
-    length = np.hypot(1, depth)
-    force = spokes * stiffness * (length - 0.9) * depth / length
-    parameters = Parameters(
-        spring_stiffness=jnp.asarray(stiffness), pretension=jnp.asarray(0.1)
-    )
-    outcome = relax(
-        None, hub, parameters=parameters, tolerance=1e-9, load=load(0, [0, 0, force])
-    )
-    assert outcome.result is Result.CONVERGED
-    np.testing.assert_allclose(outcome.state[1].vertices[0], [0, 0, depth], atol=1e-7)
-
-
-def test_membrane_under_a_small_load_solves_the_discrete_laplace_equation(
-    make_membrane, load
-):
-    membrane = make_membrane()
-    force = 1e-4
-    outcome = relax(None, membrane, tolerance=1e-10, load=load(24, [0, 0, force]))
-    assert outcome.result is Result.CONVERGED
-    parameters = Parameters()
-    matrix = lil_array((49, 49))
-    for (i, j), alive in zip(
-        np.asarray(membrane.edges), np.asarray(membrane.edge_alive), strict=True
-    ):
-        if alive:
-            for a, b in ((i, j), (j, i)):
-                matrix[a, a] += 1
-                matrix[a, b] -= 1
-    free = np.flatnonzero(np.asarray(membrane.free))
-    # every edge just reset pulls with k τ per length
-    pull = np.where(free == 24, force, 0.0)
-    inner = matrix.tocsr()[free][:, free]
-    wanted = spsolve(inner * parameters.spring_stiffness * parameters.pretension, pull)
-    found = np.asarray(outcome.state[1].vertices)[free, 2]
-    assert found.max() > 1e-4
-    np.testing.assert_allclose(found, wanted, rtol=1e-3, atol=1e-9)
-
-
-def test_membrane_just_reset_rests_flat_without_load(make_membrane):
-    membrane = make_membrane()
-    outcome = relax(None, membrane, tolerance=1e-9)
-    assert outcome.result is Result.CONVERGED
-    assert not np.any(np.asarray(outcome.state[1].vertices)[:, 2])
-
-
-@pytest.mark.parametrize("method", ["lbfgs", "fire"])
-def test_membrane_alone_comes_to_rest_with_its_rim_in_place(
-    make_membrane, load, method
-):
-    membrane = make_membrane()
-    outcome = relax(
-        None, membrane, tolerance=1e-8, method=method, load=load(24, [0, 0, 0.05])
-    )
-    assert outcome.result is Result.CONVERGED
-    still = ~np.asarray(membrane.free)
-    np.testing.assert_array_equal(
-        outcome.state[1].vertices[still], membrane.vertices[still]
-    )
-    assert outcome.state[1].vertices[24, 2] > 0.05
 
 
 # both together
