@@ -41,9 +41,12 @@ def farthest_two(moved: Float[Array, "n 3"]) -> Float[Array, ""]:
     not hold, as it could if each might go half of the list's skin.
     """
     square = jnp.sum(moved**2, axis=1)
-    first = jnp.argmax(square)
-    second = jnp.max(square.at[first].set(0))
-    return jnp.sqrt(square[first]) + jnp.sqrt(second)
+    # not argmax, for which the processor takes two and a half times as long
+    first = jnp.max(square)
+    below = square < first
+    second = jnp.max(jnp.where(below, square, 0))
+    second = jnp.where(jnp.sum(~below) > 1, first, second)
+    return jnp.sqrt(first) + jnp.sqrt(second)
 
 
 def smallest_distance(dtype: DTypeLike) -> float:

@@ -3,8 +3,9 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
-from jaxgrow.numerics import safe_divide, safe_norm
+from jaxgrow.numerics import farthest_two, safe_divide, safe_norm
 
 
 def test_norm_is_the_euclidean_length():
@@ -33,3 +34,23 @@ def test_division_is_zero_with_finite_derivatives_where_it_is_excluded():
     x = jnp.array([0.0, 2.0])
     assert ratio(x) == 0.5
     np.testing.assert_allclose(jax.grad(ratio)(x), [0, -0.25])
+
+
+@pytest.mark.parametrize(
+    "lengths, total",
+    [
+        ([3, 1, 4, 1, 5], 9),
+        ([2, 5, 5, 1], 10),
+        ([5, 5, 5], 10),
+        ([0, 0], 0),
+        ([0, 3], 3),
+        ([3], 3),
+        ([1, np.nan, 2], np.nan),
+        ([1, np.inf], np.inf),
+        ([np.inf, np.inf], np.inf),
+    ],
+)
+def test_two_longest_moves_are_added(lengths, total):
+    moved = np.zeros((len(lengths), 3))
+    moved[:, 2] = lengths
+    np.testing.assert_allclose(farthest_two(jnp.asarray(moved)), total, rtol=1e-14)

@@ -46,6 +46,7 @@ from jaxgrow.numerics import farthest_two
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Membrane
 from jaxgrow.types import Scalar
+from jaxgrow.words import list_true
 
 
 LOCAL = 3.0
@@ -131,11 +132,11 @@ def narrow_collisions(
     of_vertex, of_edge = wide.distances(membrane)
     force = jnp.where(wide.apart, scale, scale * wide.vertex_margin)
     near = of_vertex < jnp.maximum(force, least) + skin
-    (chosen,) = jnp.nonzero(near, size=room, fill_value=0)
-    real = jnp.arange(room) < jnp.sum(near)
+    chosen, count = list_true(near, room)
+    real = jnp.arange(room) < count
     near_edge = of_edge < jnp.maximum(scale * wide.edge_margin, least) + skin
-    (of_edges,) = jnp.nonzero(near_edge, size=2 * room, fill_value=0)
-    real_edge = jnp.arange(2 * room) < jnp.sum(near_edge)
+    of_edges, edge_count = list_true(near_edge, 2 * room)
+    real_edge = jnp.arange(2 * room) < edge_count
     last = membrane.vertices.shape[0] + wide.still.shape[0] - 1
     return Collisions(
         still=wide.still,
@@ -148,7 +149,7 @@ def narrow_collisions(
         reference=membrane.vertices,
         skin=jnp.asarray(skin, wide.skin.dtype),
         stale=jnp.zeros((), bool),
-        full=wide.full | (jnp.sum(near) > room) | (jnp.sum(near_edge) > 2 * room),
+        full=wide.full | (count > room) | (edge_count > 2 * room),
     )
 
 
