@@ -16,11 +16,13 @@ A test holds it equal to the derivative of the plain sum.
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxgrow.energy.a2 import A2
+from jaxgrow.energy.a2 import A2, CUTOFF
+from jaxgrow.kernels.ffi import registered, target
 from jaxgrow.numerics import safe_divide, safe_root
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Particles, Species
@@ -109,19 +111,73 @@ def _pair_sum(
     return 0.5 * total
 
 
+@jax.custom_jvp
 def pair_force(
     particles: Particles, listed: Int[Array, "k n"], parameters: Parameters
 ) -> Float[Array, "n 3"]:
     """Force on every particle, in F(0); 0 between particles at the same point.
 
-    A few neighbours of all particles after the other, so that nothing of the size of
-    the list is stored: several times as fast as all at once on a CPU.
+    On a processor by a loop, where there is one (see `jaxgrow.kernels`).
 
     Args:
         particles: positions in r0.
         listed: neighbours of each particle, every pair from both sides; entries that
             hold n, and pairs beyond 3/2 r0, contribute nothing.
         parameters: adhesion, smoothing and tumour stiffness are used.
+    """
+    exact = particles.position.dtype == jnp.float64 and listed.dtype == jnp.int32
+    if not (exact and registered("pair")):
+        return _force_by_blocks(particles, listed, parameters)
+    given = particles, listed, parameters
+    return jax.lax.platform_dependent(
+        *given, cpu=_force_by_loop, default=_force_by_blocks
+    )
+
+
+@pair_force.defjvp
+def _pair_force_jvp(
+    primals: tuple[Particles, Array, Parameters],
+    tangents: tuple[Particles, Array, Parameters],
+) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
+    particles, listed, parameters = primals
+    moved, _, varied = tangents
+
+    def force(position: Float[Array, "n 3"], law: Parameters) -> Float[Array, "n 3"]:
+        there = eqx.tree_at(lambda p: p.position, particles, position)
+        return _force_by_blocks(there, listed, law)
+
+    given = particles.position, parameters
+    return jax.jvp(force, given, (moved.position, varied))
+
+
+def _force_by_loop(
+    particles: Particles, listed: Int[Array, "k n"], parameters: Parameters
+) -> Float[Array, "n 3"]:
+    position = particles.position
+    count = position.shape[0]
+    away = _AWAY * (1 + jnp.arange(count, dtype=position.dtype) / count)
+    position = jnp.where(particles.alive[:, None], position, away[:, None])
+    law = parameters.adhesion, parameters.smoothing, parameters.tumour_stiffness, CUTOFF
+    call = jax.ffi.ffi_call(
+        target("pair"),
+        jax.ShapeDtypeStruct(position.shape, position.dtype),
+        vmap_method="sequential",
+    )
+    return call(
+        position,
+        particles.species == Species.TUMOUR,
+        listed,
+        jnp.stack([jnp.asarray(number, position.dtype) for number in law]),
+    )
+
+
+def _force_by_blocks(
+    particles: Particles, listed: Int[Array, "k n"], parameters: Parameters
+) -> Float[Array, "n 3"]:
+    """A few neighbours of all particles after the other.
+
+    So that nothing of the size of the list is stored: several times as fast as all at
+    once on a processor.
     """
     law = A2(parameters.adhesion, parameters.smoothing)
     crowd = crowd_of(particles)

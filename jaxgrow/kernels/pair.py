@@ -1,0 +1,106 @@
+"""The loop over pairs of particles of `jaxgrow.energy.pair.pair_force`."""
+
+import math
+from typing import no_type_check
+
+import numpy as np
+from numba import cfunc, njit
+
+from jaxgrow.kernels import frames
+
+
+EXACT = {"contract", "nsz", "reassoc", "arcp"}
+"""What may be done to sums and quotients; NaN and infinity stay what they are."""
+
+
+@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@no_type_check
+def a2(
+    u: float, adhesion: float, low: float, blend: float, edge: float, tail: float
+) -> float:
+    """Force of `jaxgrow.A2` at u, with its branches as numbers (see `branches`)."""
+    share = min(max((u - low) * blend, 0.0), 1.0)
+    taper = min(max((edge - u) * tail, 0.0), 1.0)
+    taper = taper * adhesion if u > 1.0 else taper
+    return (1.0 - u * u) * (1.0 - share) + 0.5 * (1.0 - u) * (2.0 - u) * share * taper
+
+
+@njit(cache=True)
+@no_type_check
+def branches(smoothing: float, cutoff: float) -> tuple[float, float, float, float]:
+    """Where the blend begins and the taper ends, and the inverse of their widths.
+
+    Without smoothing both are as wide as one rounding.
+    """
+    if smoothing > 0.0:
+        return 0.5 - smoothing, 0.5 / smoothing, cutoff, 1.0 / smoothing
+    return np.nextafter(0.5, 0.0), 1e300, np.nextafter(cutoff, 2.0 * cutoff), 1e300
+
+
+@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@no_type_check
+def add_up(
+    position: np.ndarray,
+    tumour: np.ndarray,
+    listed: np.ndarray,
+    law: np.ndarray,
+    force: np.ndarray,
+) -> None:
+    """Write the pair force on every particle.
+
+    First the near neighbours of a particle are put in a row, then the law is evaluated
+    along it: both are loops without a branch, which run on several pairs at once.
+
+    Args:
+        position: of the particles, in r0, dead ones far away.
+        tumour: which are of the tumour.
+        listed: neighbours of each, neighbour-major; n and above for empty entries.
+        law: adhesion, smoothing, stiffness of pairs of tumour particles, and distance
+            in r0 beyond which no pair interacts.
+        force: in F(0); written.
+    """
+    room, count = listed.shape
+    adhesion, smoothing, stiffness, cutoff = law[0], law[1], law[2], law[3]
+    low, blend, edge, tail = branches(smoothing, cutoff)
+    gap = np.zeros((3, room + 1))
+    square = np.zeros(room + 1)
+    factor = np.ones(room + 1)
+    farthest = cutoff * cutoff
+    for i in range(count):
+        x, y, z = position[i, 0], position[i, 1], position[i, 2]
+        near = 0
+        for k in range(room):
+            j = listed[k, i]
+            if j < count:
+                dx, dy, dz = x - position[j, 0], y - position[j, 1], z - position[j, 2]
+                apart = dx * dx + dy * dy + dz * dz
+                gap[0, near], gap[1, near], gap[2, near] = dx, dy, dz
+                square[near] = apart
+                factor[near] = stiffness if tumour[i] and tumour[j] else 1.0
+                # NaN counts as near, so that the force becomes NaN too
+                near += (not apart > farthest) & (apart != 0.0)
+        fx, fy, fz = 0.0 * x, 0.0 * y, 0.0 * z  # NaN without neighbours too
+        for k in range(near):
+            u = math.sqrt(square[k])
+            ratio = factor[k] * a2(u, adhesion, low, blend, edge, tail) / u
+            fx += ratio * gap[0, k]
+            fy += ratio * gap[1, k]
+            fz += ratio * gap[2, k]
+        force[i, 0], force[i, 1], force[i, 2] = fx, fy, fz
+
+
+@cfunc(frames.HANDLER, cache=True)
+@no_type_check
+def handler(frame: int) -> int:
+    """For XLA: arguments and result as of `add_up`."""
+    if frames.answers_version(frame):
+        return 0
+    room, count = frames.size(frame, 2, 0), frames.size(frame, 2, 1)
+    add_up(
+        frames.reals(frames.argument(frame, 0), (count, 3)),
+        frames.booleans(frames.argument(frame, 1), (count,)),
+        frames.indices(frames.argument(frame, 2), (room, count)),
+        frames.reals(frames.argument(frame, 3), (4,)),
+        frames.reals(frames.result(frame, 0), (count, 3)),
+    )
+    return 0
