@@ -19,6 +19,7 @@ from jaxgrow.energy.contact import (
     clearances,
     contact_distances,
     contact_energy,
+    contact_forces,
     Contacts,
     list_contacts,
     narrow_contacts,
@@ -134,14 +135,15 @@ class Outgrown(eqx.Module):
 
 
 class Distances(NamedTuple):
-    """Exact distances of the listed pairs, in r0.
+    """How far what may meet is apart, in r0.
 
     Attributes:
-        contact: of a particle and a triangle; None without that term.
+        contact: clearances of particles and vertices from each other; None without
+            that term.
         collision: of a vertex and a triangle, and of two edges; likewise.
     """
 
-    contact: Float[Array, " p"] | None
+    contact: tuple[Float[Array, " n"], Float[Array, " m"]] | None
     collision: PairDistances | None
 
 
@@ -220,7 +222,9 @@ class Problem(eqx.Module):
     def energy(self, nodes: Nodes, lists: Lists) -> Float[Array, ""]:
         """Energy in F(0) r0; only the terms that the scene has are traced."""
         at = self.at(nodes)
-        total = at._of_surface(lists, at.distances(lists))
+        total = at._of_membrane(lists, None)
+        if lists.contacts is not None:
+            total += contact_energy(*at.both(), lists.contacts, self.parameters)
         if lists.neighbors is not None:
             assert at.particles is not None
             total += pair_energy(at.particles, lists.neighbors.listed, self.parameters)
@@ -261,12 +265,10 @@ class Problem(eqx.Module):
             distances = at.distances(lists)
         if lists.contacts is not None:
             assert distances.contact is not None
-            particles, membrane = at.both()
-            count = particles.position.shape[0]
-            near = clearances(distances.contact, lists.contacts, membrane, count)
+            of_particles, of_vertices = distances.contact
             limit = Nodes(
-                jnp.minimum(limit.particles, 0.4 * near[0]),
-                jnp.minimum(limit.vertices, 0.4 * near[1]),
+                jnp.minimum(limit.particles, 0.4 * of_particles),
+                jnp.minimum(limit.vertices, 0.4 * of_vertices),
             )
         if lists.collisions is not None:
             assert at.membrane is not None
@@ -382,7 +384,10 @@ class Problem(eqx.Module):
         contact = collision = None
         if self.membrane is not None:
             if lists.contacts is not None:
-                contact = contact_distances(*self.both(), lists.contacts)
+                particles, membrane = self.both()
+                apart = contact_distances(particles, membrane, lists.contacts)
+                count = particles.position.shape[0]
+                contact = clearances(apart, lists.contacts, membrane, count)
             if lists.collisions is not None:
                 collision = lists.collisions.distances(self.membrane)
         return Distances(contact, collision)
@@ -390,39 +395,40 @@ class Problem(eqx.Module):
     def _forces_and_distances(
         self, nodes: Nodes, lists: Lists
     ) -> tuple[Nodes, Distances]:
-        def of_surface(at: Nodes) -> tuple[Float[Array, ""], Distances]:
+        def of_membrane(at: Nodes) -> tuple[Float[Array, ""], PairDistances | None]:
             moved = self.at(at)
-            distances = moved.distances(lists)
-            return moved._of_surface(lists, distances), distances
+            apart = None
+            if lists.collisions is not None and moved.membrane is not None:
+                apart = lists.collisions.distances(moved.membrane)
+            return moved._of_membrane(lists, apart), apart
 
-        if self.membrane is None:
-            total, distances = (
-                jax.tree.map(jnp.zeros_like, nodes),
-                Distances(None, None),
-            )
-        else:
-            slope, distances = jax.grad(of_surface, has_aux=True)(nodes)
+        moved = self.at(nodes)
+        total, contact, collision = jax.tree.map(jnp.zeros_like, nodes), None, None
+        if self.membrane is not None:
+            slope, collision = jax.grad(of_membrane, has_aux=True)(nodes)
             total = jax.tree.map(jnp.negative, slope)
+        if lists.contacts is not None:
+            found = contact_forces(*moved.both(), lists.contacts, self.parameters)
+            contact = found.clearances
+            pushed = Nodes(found.particles, found.vertices)
+            total = jax.tree.map(jnp.add, total, pushed)
         if lists.neighbors is not None:
-            moved = self.at(nodes)
             assert moved.particles is not None
             pair = pair_force(moved.particles, lists.neighbors.listed, self.parameters)
             total = eqx.tree_at(lambda n: n.particles, total, total.particles + pair)
-        return total, distances
+        return total, Distances(contact, collision)
 
-    def _of_surface(self, lists: Lists, distances: Distances) -> Float[Array, ""]:
-        """Energy of all terms but that of pairs of particles."""
+    def _of_membrane(
+        self, lists: Lists, apart: PairDistances | None
+    ) -> Float[Array, ""]:
+        """Energy of the membrane but for its contact with particles."""
         total = jnp.zeros((), self.dtype)
         if self.membrane is None:
             return total
         total += spring_energy(self.membrane, self.parameters)
-        if lists.contacts is not None:
-            total += contact_energy(
-                *self.both(), lists.contacts, self.parameters, distances.contact
-            )
         if lists.collisions is not None:
             total += collision_energy(
-                self.membrane, lists.collisions, self.parameters, distances.collision
+                self.membrane, lists.collisions, self.parameters, apart
             )
         if self.load is not None:
             total -= jnp.sum(self.load * self.membrane.vertices)

@@ -97,6 +97,13 @@ def indices(address: int, shape: tuple[int, ...]) -> np.ndarray:
 
 @njit(cache=True)
 @no_type_check
+def long_indices(address: int, shape: tuple[int, ...]) -> np.ndarray:
+    """What lies there, as whole numbers of 64 bits."""
+    return carray(_as_pointer(address), shape, np.int64)
+
+
+@njit(cache=True)
+@no_type_check
 def booleans(address: int, shape: tuple[int, ...]) -> np.ndarray:
     """What lies there, as 0 and 1 of a byte each."""
     return carray(_as_pointer(address), shape, np.uint8)

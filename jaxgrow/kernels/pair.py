@@ -7,34 +7,7 @@ import numpy as np
 from numba import cfunc, njit
 
 from jaxgrow.kernels import frames
-
-
-EXACT = {"contract", "nsz", "reassoc", "arcp"}
-"""What may be done to sums and quotients; NaN and infinity stay what they are."""
-
-
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
-@no_type_check
-def a2(
-    u: float, adhesion: float, low: float, blend: float, edge: float, tail: float
-) -> float:
-    """Force of `jaxgrow.A2` at u, with its branches as numbers (see `branches`)."""
-    share = min(max((u - low) * blend, 0.0), 1.0)
-    taper = min(max((edge - u) * tail, 0.0), 1.0)
-    taper = taper * adhesion if u > 1.0 else taper
-    return (1.0 - u * u) * (1.0 - share) + 0.5 * (1.0 - u) * (2.0 - u) * share * taper
-
-
-@njit(cache=True)
-@no_type_check
-def branches(smoothing: float, cutoff: float) -> tuple[float, float, float, float]:
-    """Where the blend begins and the taper ends, and the inverse of their widths.
-
-    Without smoothing both are as wide as one rounding.
-    """
-    if smoothing > 0.0:
-        return 0.5 - smoothing, 0.5 / smoothing, cutoff, 1.0 / smoothing
-    return np.nextafter(0.5, 0.0), 1e300, np.nextafter(cutoff, 2.0 * cutoff), 1e300
+from jaxgrow.kernels.laws import a2, branches, EXACT
 
 
 @njit(cache=True, fastmath=EXACT, error_model="numpy")
