@@ -18,10 +18,11 @@ from typing import Any, NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, UInt
 from scipy.spatial import KDTree
 
 from jaxgrow.capacity import capacity_for
+from jaxgrow.kernels.ffi import registered, target
 from jaxgrow.words import first_true
 
 
@@ -190,17 +191,58 @@ def most_neighbors(position: Float[Array, "n 3"], radius: float) -> int:
 
 
 def relist(wide: Any, position: Float[Array, "n 3"]) -> Any:
-    """The list for these positions; its error is set if they do not fit."""
+    """The list for these positions; its error is set if they do not fit.
+
+    On a processor by a loop, where there is one (see `jaxgrow.kernels`).
+    """
+    by_cells = functools.partial(_by_cells, wide)
+    if position.dtype == jnp.float64 and registered("cells"):
+        by_loop = functools.partial(_by_loop, wide)
+        entries, code = jax.lax.platform_dependent(
+            position, cpu=by_loop, default=by_cells
+        )
+    else:
+        entries, code = by_cells(position)
+    return dataclasses.replace(
+        wide,
+        idx=entries,
+        reference_position=position + _SHIFT,
+        error=_partition().PartitionError(code),
+    )
+
+
+def _by_loop(
+    wide: Any, position: Float[Array, "n 3"]
+) -> tuple[Int[Array, "n k"], UInt[Array, ""]]:
+    """Entries, and the code of the error."""
+    of = Hash.of(position.shape[0], wide.cell_size)
+    results = (
+        jax.ShapeDtypeStruct(wide.idx.shape, jnp.int32),
+        jax.ShapeDtypeStruct((1,), jnp.int32),
+    )
+    call = jax.ffi.ffi_call(target("cells"), results, vmap_method="sequential")
+    lengths = jnp.array([of.size, of.radius])
+    entries, most = call(position, lengths, jnp.array([of.cells], jnp.int32))
+    full = _partition().PartitionErrorCode.NEIGHBOR_LIST_OVERFLOW
+    return entries, wide.error.update(full, most[0] > wide.max_occupancy).code
+
+
+def _by_cells(
+    wide: Any, position: Float[Array, "n 3"]
+) -> tuple[Int[Array, "n k"], UInt[Array, ""]]:
+    """The same by jax-md."""
     with _permissive():
         moved = position + _SHIFT
         if position.shape[0] <= _MOST_AT_ONCE:
-            return wide.update(moved)  # no move is too small: dr_threshold is 0
+            found = wide.update(moved)  # no move is too small: dr_threshold is 0
+            return found.idx, found.error.code
         cells = wide.cell_list_fn.update(moved, wide.cell_list_capacity)
     entries, most = _in_portions(wide, cells, moved)
     code = _partition().PartitionErrorCode
     error = wide.error.update(code.CELL_LIST_OVERFLOW, cells.did_buffer_overflow)
-    error = error.update(code.NEIGHBOR_LIST_OVERFLOW, most > wide.max_occupancy)
-    return dataclasses.replace(wide, idx=entries, reference_position=moved, error=error)
+    return entries, error.update(
+        code.NEIGHBOR_LIST_OVERFLOW, most > wide.max_occupancy
+    ).code
 
 
 def _in_portions(

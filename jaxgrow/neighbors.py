@@ -25,6 +25,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxgrow import cells
 from jaxgrow.energy.a2 import CUTOFF
+from jaxgrow.kernels.ffi import registered, target
 from jaxgrow.numerics import farthest_two, safe_norm
 from jaxgrow.relisting import Links, relink
 
@@ -245,8 +246,32 @@ def _near(
 ) -> tuple[Int[Array, "k n"], Int[Array, ""]]:
     """Those of the wide list within the near one's radius, and the most of a particle.
 
-    Entry after entry of all particles: no array of pairs is stored.
+    On a processor by a loop, where there is one (see `jaxgrow.kernels`).
     """
+    exact = position.dtype == jnp.float64 and wide.dtype == jnp.int32
+    by_scan = functools.partial(_near_by_scan, room=room)
+    if not (exact and registered("near")):
+        return by_scan(position, wide)
+    by_loop = functools.partial(_near_by_loop, room=room)
+    return jax.lax.platform_dependent(position, wide, cpu=by_loop, default=by_scan)
+
+
+def _near_by_loop(
+    position: Float[Array, "n 3"], wide: Int[Array, "n w"], *, room: int
+) -> tuple[Int[Array, "k n"], Int[Array, ""]]:
+    results = (
+        jax.ShapeDtypeStruct((room, position.shape[0]), wide.dtype),
+        jax.ShapeDtypeStruct((1,), wide.dtype),
+    )
+    call = jax.ffi.ffi_call(target("near"), results, vmap_method="sequential")
+    listed, most = call(position, wide, jnp.full(1, (CUTOFF + SKIN) ** 2))
+    return listed, most[0]
+
+
+def _near_by_scan(
+    position: Float[Array, "n 3"], wide: Int[Array, "n w"], *, room: int
+) -> tuple[Int[Array, "k n"], Int[Array, ""]]:
+    """Entry after entry of all particles: no array of pairs is stored."""
     count = position.shape[0]
     own = jnp.arange(count, dtype=wide.dtype)
     columns = position.T

@@ -133,10 +133,10 @@ def narrow_collisions(
     force = jnp.where(wide.apart, scale, scale * wide.vertex_margin)
     near = of_vertex < jnp.maximum(force, least) + skin
     chosen, count = list_true(near, room)
-    real = jnp.arange(room) < count
+    real = jnp.arange(room, dtype=jnp.int32) < count
     near_edge = of_edge < jnp.maximum(scale * wide.edge_margin, least) + skin
     of_edges, edge_count = list_true(near_edge, 2 * room)
-    real_edge = jnp.arange(2 * room) < edge_count
+    real_edge = jnp.arange(2 * room, dtype=jnp.int32) < edge_count
     last = membrane.vertices.shape[0] + wide.still.shape[0] - 1
     return Collisions(
         still=wide.still,

@@ -244,9 +244,9 @@ def contact_forces(
         parameters: of the contact, its barrier, and the smoothing.
     """
     given = particles, membrane, contacts, parameters
-    exact = particles.position.dtype == membrane.vertices.dtype == jnp.float64
+    reals = particles.position.dtype, membrane.vertices.dtype
     indices = contacts.particle.dtype, contacts.corners.dtype
-    exact &= indices == (jnp.int32, jnp.int64)
+    exact = reals == (jnp.float64, jnp.float64) and indices == (jnp.int32, jnp.int64)
     if not (exact and registered("contact")):
         return _forces_by_autodiff(*given)
     return jax.lax.platform_dependent(

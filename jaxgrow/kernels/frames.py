@@ -75,6 +75,14 @@ def size(frame_at: int, number: int, axis: int) -> int:
 
 @njit(cache=True)
 @no_type_check
+def size_of_result(frame_at: int, number: int, axis: int) -> int:
+    """Length of a result along an axis."""
+    buffers = _words(_words(frame_at, 15)[_RESULTS], number + 1)
+    return _words(_words(buffers[number], 6)[_DIMENSIONS], axis + 1)[axis]
+
+
+@njit(cache=True)
+@no_type_check
 def result(frame_at: int, number: int) -> int:
     """Address of a result's data."""
     buffers = _words(_words(frame_at, 15)[_RESULTS], number + 1)

@@ -1,0 +1,101 @@
+"""The loop over cells of space of `jaxgrow.cells.relist`."""
+
+import math
+from typing import no_type_check
+
+import numpy as np
+from numba import cfunc, njit
+
+from jaxgrow.kernels import frames
+
+
+@njit(cache=True)
+@no_type_check
+def _place(coordinate: float, size: float, side: int) -> int:
+    """Cell along an axis; of what is nowhere, the first."""
+    cell = math.floor(coordinate / size)
+    return int(cell) % side if abs(cell) < 1e15 else 0
+
+
+@njit(cache=True)
+@no_type_check
+def find(
+    position: np.ndarray,
+    size: float,
+    radius: float,
+    side: int,
+    entries: np.ndarray,
+    most: np.ndarray,
+) -> None:
+    """Write who is near whom: the points of a cell and of those around it are asked.
+
+    Cells repeat along every axis, so that any points have one; that adds candidates
+    and loses none.
+
+    Args:
+        position: of the points, in r0.
+        size: of a cell; no less than the radius.
+        radius: that neighbours are closer than.
+        side: number of cells along an axis; three at least.
+        entries: neighbours of each point, n for empty entries. Written.
+        most: neighbours of a point, listed or not, at most. Written.
+    """
+    count, room = entries.shape
+    cell = np.zeros((count, 3), np.int64)
+    first = np.zeros(side**3 + 1, np.int64)
+    for i in range(count):
+        for axis in range(3):
+            cell[i, axis] = _place(position[i, axis], size, side)
+        first[(cell[i, 0] * side + cell[i, 1]) * side + cell[i, 2] + 1] += 1
+    for number in range(side**3):
+        first[number + 1] += first[number]
+    # points, and their positions once more, in the order of their cells
+    order, next_place = np.zeros(count, np.int64), first[:-1].copy()
+    sorted_position = np.zeros((count, 3))
+    for i in range(count):
+        number = (cell[i, 0] * side + cell[i, 1]) * side + cell[i, 2]
+        place = next_place[number]
+        next_place[number] += 1
+        order[place] = i
+        for axis in range(3):
+            sorted_position[place, axis] = position[i, axis]
+    most[0] = 0
+    square = radius * radius
+    for i in range(count):
+        x, y, z = position[i, 0], position[i, 1], position[i, 2]
+        found = 0
+        for way in range(27):
+            a = (cell[i, 0] + way // 9 - 1) % side
+            b = (cell[i, 1] + way // 3 % 3 - 1) % side
+            c = (cell[i, 2] + way % 3 - 1) % side
+            number = (a * side + b) * side + c
+            for place in range(first[number], first[number + 1]):
+                dx = x - sorted_position[place, 0]
+                dy = y - sorted_position[place, 1]
+                dz = z - sorted_position[place, 2]
+                if dx * dx + dy * dy + dz * dz < square and order[place] != i:
+                    if found < room:
+                        entries[i, found] = order[place]
+                    found += 1
+        for empty in range(found, room):
+            entries[i, empty] = count
+        most[0] = max(most[0], found)
+
+
+@cfunc(frames.HANDLER, cache=True)
+@no_type_check
+def handler(frame: int) -> int:
+    """For XLA: positions, then size and radius, and side; results as of `find`."""
+    if frames.answers_version(frame):
+        return 0
+    count, room = frames.size(frame, 0, 0), frames.size_of_result(frame, 0, 1)
+    lengths = frames.reals(frames.argument(frame, 1), (2,))
+    find(
+        frames.reals(frames.argument(frame, 0), (count, 3)),
+        lengths[0],
+        lengths[1],
+        frames.indices(frames.argument(frame, 2), (1,))[0],
+        frames.indices(frames.result(frame, 0), (count, room)),
+        frames.indices(frames.result(frame, 1), (1,)),
+    )
+    return 0

@@ -1,0 +1,64 @@
+"""The loop over wide lists of `jaxgrow.neighbors` that finds who is near."""
+
+from typing import no_type_check
+
+import numpy as np
+from numba import cfunc, njit
+
+from jaxgrow.kernels import frames
+
+
+@njit(cache=True)
+@no_type_check
+def find(
+    position: np.ndarray,
+    wide: np.ndarray,
+    square: float,
+    listed: np.ndarray,
+    most: np.ndarray,
+) -> None:
+    """Write the neighbours of each particle that are near now.
+
+    Args:
+        position: of the particles, in r0.
+        wide: neighbours of each, particle by particle; n and above for empty entries.
+        square: of the distance that near ones are closer than.
+        listed: the near ones of each, in their order, neighbour-major; n for empty
+            entries. Written.
+        most: near ones of a particle, listed or not, at most. Written.
+    """
+    count, entries = wide.shape
+    room = listed.shape[0]
+    most[0] = 0
+    for i in range(count):
+        x, y, z = position[i, 0], position[i, 1], position[i, 2]
+        found = 0
+        for entry in range(entries):
+            j = wide[i, entry]
+            if j < count:
+                dx, dy, dz = x - position[j, 0], y - position[j, 1], z - position[j, 2]
+                if dx * dx + dy * dy + dz * dz < square:
+                    if found < room:
+                        listed[found, i] = j
+                    found += 1
+        for empty in range(found, room):
+            listed[empty, i] = count
+        most[0] = max(most[0], found)
+
+
+@cfunc(frames.HANDLER, cache=True)
+@no_type_check
+def handler(frame: int) -> int:
+    """For XLA: arguments and results as of `find`."""
+    if frames.answers_version(frame):
+        return 0
+    count, entries = frames.size(frame, 1, 0), frames.size(frame, 1, 1)
+    room = frames.size_of_result(frame, 0, 0)
+    find(
+        frames.reals(frames.argument(frame, 0), (count, 3)),
+        frames.indices(frames.argument(frame, 1), (count, entries)),
+        frames.reals(frames.argument(frame, 2), (1,))[0],
+        frames.indices(frames.result(frame, 0), (room, count)),
+        frames.indices(frames.result(frame, 1), (1,)),
+    )
+    return 0
