@@ -198,6 +198,7 @@ def cases() -> Iterator[Case]:
         "a site on the rim of a flat cavity, where the wall turns by 180°",
         grown(lambda: ellipsoid(12.0, 12.0, 1.0), site="side", divisions=12),
         (*ok, "CAVITY_FULL"),
+        slow=True,
     )
     yield Case(
         "solid-organ-thinner-than-its-tissue",
@@ -223,6 +224,7 @@ def cases() -> Iterator[Case]:
         "tissue of 4 particles per r0³, more than twice as dense as it would be",
         grown(divisions=12, around={**SMALL, "density": 4.0}),
         ok,
+        slow=True,
     )
     yield Case(
         "tissue-far-too-sparse",

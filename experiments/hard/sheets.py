@@ -344,6 +344,7 @@ def cases() -> Iterator[Case]:
         "a daughter by the wall of a groove 0.8 r0 wide",
         division_beside_a_groove,
         ok,
+        slow=True,
     )
     yield Case(
         "fold-relaxed-and-faired",
