@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import enum
 import math
@@ -14,6 +15,8 @@ from typing import Any, TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import UInt8
+
+from jaxgrow import kernels
 
 
 if TYPE_CHECKING:
@@ -34,6 +37,7 @@ GROWING = (
     "numpy",
     "scipy",
     "trimesh",  # reads organs
+    "numba",  # compiles the loops of jaxgrow.kernels, where it is used
 )
 """Distributions whose version may change a growth."""
 
@@ -130,13 +134,14 @@ def describe_scene(scene: Scene, organ: Organ | None) -> dict[str, Any]:
 
 
 def versions(names: Sequence[str] = DECISIVE) -> dict[str, str | None]:
-    """Of Python and of all distributions that decide a result; None: not installed."""
+    """Of Python and of all distributions that decide a result; None: not used."""
     found: dict[str, str | None] = {"python": platform.python_version()}
     for name in names:
-        try:
+        found[name] = None
+        if name == "numba" and not kernels.wanted():
+            continue
+        with contextlib.suppress(PackageNotFoundError):
             found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = None
     return found
 
 

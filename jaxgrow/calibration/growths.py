@@ -292,12 +292,14 @@ def _check_versions(
     other = [n for n in wanted if n in found and found[n] != wanted[n]]
     if other:
         then, now = (
-            " and ".join(f"{name} {of[name] or '(unknown)'}" for name in other)
+            " and ".join(
+                f"{name} {of[name]}" if of[name] else f"no {name}" for name in other
+            )
             for of in (found, wanted)
         )
         raise FitError(
             f"{folder} holds growths made with {then}, and here is {now}, which may "
-            f"make others; install {then} to go on with it, or give a new folder."
+            f"make others; go on with {then}, or give a new folder."
         )
 
 

@@ -18,22 +18,12 @@ registered, and `registered` tells so.
 
 import ctypes
 import functools
-import os
 from importlib import import_module
-from importlib.util import find_spec
 from typing import Any
 
 import jax
 
-
-SWITCH = "JAXGROW_KERNELS"
-"""Environment variable that, set to ``off``, leaves everything to XLA."""
-
-
-@functools.cache
-def wanted() -> bool:
-    """Whether loops may be used here: numba is installed, and nobody objects."""
-    return os.environ.get(SWITCH, "") != "off" and find_spec("numba") is not None
+from jaxgrow.kernels import wanted
 
 
 def target(name: str) -> str:

@@ -7,6 +7,8 @@ first, then the walls' that it does not have already.
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -161,27 +163,31 @@ def encounters(sheet: Sheet, *, apart: float, local: float, along: float) -> Enc
     joined = _joined(sheet, edges, length, along)
     reach = max(apart, local)
 
+    # what is too far is left out as soon as that is known: most candidates are
     vertex, face = _vertex_face_candidates(sheet, reach)
     corners = sheet.faces[face]
-    near = ~(corners == vertex[:, None]).any(axis=1)
-    near &= sheet.moving[vertex] | sheet.moving[corners].any(axis=1)
+    near = sheet.moving[vertex] | sheet.moving[corners].any(axis=1)
+    near &= ~(corners == vertex[:, None]).any(axis=1)
     vertex, corners = vertex[near], corners[near]
     distance, _ = closest_on_triangles(sheet.vertices[vertex], sheet.vertices[corners])
-    far = np.count_nonzero(joined[vertex[:, None], corners], axis=1) == 0
-    keep = distance < np.where(far, apart, local)
-    order = np.flatnonzero(keep)
+    near = distance < reach
+    vertex, corners, distance = vertex[near], corners[near], distance[near]
+    far = np.logical_not(joined[vertex[:, None], corners].any(axis=1))
+    order = np.flatnonzero(distance < np.where(far, apart, local))
     order = order[np.argsort(vertex[order], kind="stable")]
 
     first, second = _edge_candidates(sheet.vertices[edges], length, reach)
-    four = np.concatenate([edges[first], edges[second]], axis=1)
-    near = ~(four[:, :2, None] == four[:, None, 2:]).any(axis=(1, 2))
-    near &= sheet.moving[four].any(axis=1)
-    four = four[near]
+    moving = np.asarray(sheet.moving[edges].any(axis=1))
+    (a, b), (c, d) = edges[first].T, edges[second].T
+    near = (moving[first] | moving[second]) & (a != c) & (a != d) & (b != c) & (b != d)
+    four = np.stack([a[near], b[near], c[near], d[near]], axis=1)
     between, _, _ = closest_on_segments(
         sheet.vertices[four[:, :2]], sheet.vertices[four[:, 2:]]
     )
+    near = between < reach
+    four, between = four[near], between[near]
     paths = joined[four[:, :2, None], four[:, None, 2:]]
-    edge_far = np.count_nonzero(paths, axis=(1, 2)) == 0
+    edge_far = np.logical_not(paths.any(axis=(1, 2)))
     kept = between < np.where(edge_far, apart, local)
     return Encounters(
         vertex=vertex[order],
@@ -247,7 +253,7 @@ def _vertex_face_candidates(
     found = KDTree(sheet.vertices).query_ball_point(centre, reach + radius)
     count = np.fromiter(map(len, found), dtype=np.int64, count=len(found))
     face = np.repeat(np.arange(len(sheet.faces)), count)
-    return np.concatenate([*found, []]).astype(np.int64), face
+    return _chained(found), face
 
 
 def _edge_candidates(
@@ -263,6 +269,11 @@ def _edge_candidates(
     found = KDTree(middle).query_ball_point(middle, reach + length[order])
     count = np.fromiter(map(len, found), dtype=np.int64, count=len(found))
     first = np.repeat(np.arange(len(found)), count)
-    second = np.concatenate([*found, []]).astype(np.int64)
+    second = _chained(found)
     below = second < first
     return order[first[below]], order[second[below]]
+
+
+def _chained(lists: Iterable[list[int]]) -> Int[np.ndarray, " c"]:
+    """All of some lists, one after the other."""
+    return np.fromiter(itertools.chain.from_iterable(lists), np.int64)

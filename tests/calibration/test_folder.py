@@ -146,14 +146,15 @@ def test_entries_that_make_no_sense_are_damage(damaged, whole, formula):
 def test_growths_of_other_versions_are_refused(whole, formula):
     request = change(whole)["request"]
     here = request["versions"]
-    other = {**here, "scipy": "1.0.1", "optax": "0.1"}
+    other = {**here, "scipy": "1.0.1", "numba": None, "optax": "0.1"}
     change(whole, request={**request, "versions": other})
     with pytest.raises(FitError) as caught:
         run(formula(), whole)
     assert str(caught.value) == (
-        f"{whole} holds growths made with scipy 1.0.1 and optax 0.1, and here is "
-        f"scipy {here['scipy']} and optax {here['optax']}, which may make others; "
-        "install scipy 1.0.1 and optax 0.1 to go on with it, or give a new folder."
+        f"{whole} holds growths made with scipy 1.0.1 and no numba and optax 0.1, and "
+        f"here is scipy {here['scipy']} and numba {here['numba']} and optax "
+        f"{here['optax']}, which may make others; go on with scipy 1.0.1 and no numba "
+        "and optax 0.1, or give a new folder."
     )
 
 

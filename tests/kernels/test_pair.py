@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jaxgrow.energy.pair import _force_by_blocks, pair_force
-from jaxgrow.kernels import ffi
+from jaxgrow.kernels import ffi, SWITCH
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Particles
 
@@ -157,7 +157,7 @@ print(grown.size_mm)
 def test_switch_leaves_everything_to_xla(monkeypatch):
     said = []
     for switch in ("on", "off"):
-        monkeypatch.setenv(ffi.SWITCH, switch)
+        monkeypatch.setenv(SWITCH, switch)
         done = subprocess.run(
             [sys.executable, "-c", CODE], capture_output=True, text=True, check=True
         )
