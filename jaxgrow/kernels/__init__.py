@@ -1,9 +1,11 @@
 """Inner loops for processors: compiled by numba, called by XLA programs.
 
 XLA runs a sum over neighbours on a processor as many small programs with arrays between
-them; a loop keeps a pair in registers, which takes half of the time and, of few
-particles, a third. Where numba is not installed (extra ``fast``), on accelerators, in
-32 bits and under a derivative the same is computed by XLA; a test holds both equal.
+them; a loop keeps a pair in registers. Of a polyp's 768 slots, pair forces take half of
+the time, contact forces two thirds, near lists a quarter and wide ones a tenth of what
+they take as XLA programs. Where numba is not installed (extra ``fast``), on
+accelerators, in 32 bits and under a derivative the same is computed by XLA; tests hold
+both equal, to rounding. Each loop runs on one thread.
 """
 
 import functools
