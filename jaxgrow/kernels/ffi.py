@@ -26,6 +26,11 @@ import jax
 from jaxgrow.kernels import wanted
 
 
+_new_capsule = ctypes.PYFUNCTYPE(
+    ctypes.py_object, ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p
+)(("PyCapsule_New", ctypes.pythonapi))
+
+
 def target(name: str) -> str:
     """What XLA knows the handler of that name by."""
     return f"jaxgrow_{name}"
@@ -40,14 +45,13 @@ def registered(name: str) -> bool:
     """
     if not wanted():
         return False
-    # not above: numba takes half a second to import
-    handler: Any = import_module(f"jaxgrow.kernels.{name}").handler
-    new_capsule = ctypes.pythonapi.PyCapsule_New
-    new_capsule.restype = ctypes.py_object
-    new_capsule.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]
-    capsule = new_capsule(handler.address, None, None)
     try:
+        # not above: numba takes half a second to import
+        handler: Any = import_module(f"jaxgrow.kernels.{name}").handler
+        capsule = _new_capsule(handler.address, None, None)
         jax.ffi.register_ffi_target(target(name), capsule, platform="cpu")
-    except Exception:  # an XLA of another version: it refuses by an error of its own
+    # XLA refuses handlers for another version by an error of its own, and numba loops
+    # that it can keep in no folder
+    except Exception:
         return False
     return True

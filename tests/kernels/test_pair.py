@@ -136,11 +136,18 @@ def test_other_types_are_left_to_xla(cluster, listed):
     assert CALL not in text(cluster, listed.astype(jnp.int64), law())
 
 
-def test_a_handler_that_xla_refuses_is_not_used(monkeypatch):
+@pytest.mark.parametrize(
+    "where, name, sentence",
+    [
+        (jax.ffi, "register_ffi_target", "incompatible API version"),
+        (ffi, "import_module", "cannot cache function: no locator available"),
+    ],
+)
+def test_a_loop_that_cannot_be_had_is_not_used(where, name, sentence, monkeypatch):
     def refuse(*_args, **_options):
-        raise RuntimeError("incompatible API version")
+        raise RuntimeError(sentence)
 
-    monkeypatch.setattr(jax.ffi, "register_ffi_target", refuse)
+    monkeypatch.setattr(where, name, refuse)
     assert not ffi.registered.__wrapped__("pair")
 
 
