@@ -91,6 +91,7 @@ def test_cluster_at_the_default_adhesion_stays_together(stable):
     assert nearest(stable[100]).max() < 1.5
 
 
+@pytest.mark.slow
 def test_cluster_at_the_printed_adhesion_collapses():
     found = clusters(1.0, 1e-2, [25, 60])
     # twice as many particles and more, in hardly more room

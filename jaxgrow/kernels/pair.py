@@ -41,6 +41,7 @@ def add_up(
     farthest = cutoff * cutoff
     for i in range(count):
         x, y, z = position[i, 0], position[i, 1], position[i, 2]
+        stiffer = tumour[i] and stiffness != 1.0
         near = 0
         for k in range(room):
             j = listed[k, i]
@@ -49,13 +50,16 @@ def add_up(
                 apart = dx * dx + dy * dy + dz * dz
                 gap[0, near], gap[1, near], gap[2, near] = dx, dy, dz
                 square[near] = apart
-                factor[near] = stiffness if tumour[i] and tumour[j] else 1.0
+                if stiffer:
+                    factor[near] = stiffness if tumour[j] else 1.0
                 # NaN counts as near, so that the force becomes NaN too
                 near += (not apart > farthest) & (apart != 0.0)
         fx, fy, fz = 0.0 * x, 0.0 * y, 0.0 * z  # NaN without neighbours too
         for k in range(near):
             u = math.sqrt(square[k])
-            ratio = factor[k] * a2(u, adhesion, low, blend, edge, tail) / u
+            ratio = a2(u, adhesion, low, blend, edge, tail) / u
+            if stiffer:
+                ratio *= factor[k]
             fx += ratio * gap[0, k]
             fy += ratio * gap[1, k]
             fz += ratio * gap[2, k]
