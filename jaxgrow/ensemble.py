@@ -51,8 +51,7 @@ def grow_many(
     makes of its seed in a process with one thread. Processes take some ten seconds to
     start, a gigabyte each, and share compiled programs through the cache on disk: the
     one that JAX is configured with, or else that of the command. So it pays for growths
-    that take longer: six of 60 divisions took 44 s in two processes and 59 s in one,
-    four of 24 divisions 24 s and 14 s.
+    that take longer: eight of seven seconds took 56 s in two processes and 54 s in one.
 
     Processes import the script that started them anew, as always with Python's
     `multiprocessing`. So it must be a file, with what is not to be repeated under a
