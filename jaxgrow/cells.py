@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, UInt
+from jaxtyping import Array, Bool, Float, Int, UInt
 from scipy.spatial import KDTree
 
 from jaxgrow.capacity import capacity_for
@@ -284,6 +284,34 @@ def _in_portions(
 def moved(wide: Any, position: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
     """How far every point has gone since the list was made, in r0."""
     return position + _SHIFT - wide.reference_position
+
+
+def listed_at(wide: Any) -> Float[Array, "n 3"]:
+    """Where every point was when the list was made, in r0."""
+    return wide.reference_position - _SHIFT
+
+
+def listed_by_loop(
+    wide: Any,
+    entries: Int[Array, "n k"],
+    position: Float[Array, "n 3"],
+    full: Bool[Array, ""],
+) -> Any:
+    """A list whose entries a loop made for these positions.
+
+    Args:
+        wide: the list before.
+        entries: neighbours of each point.
+        position: in r0.
+        full: whether there was too little room.
+    """
+    code = _partition().PartitionErrorCode.NEIGHBOR_LIST_OVERFLOW
+    return dataclasses.replace(
+        wide,
+        idx=entries,
+        reference_position=position + _SHIFT,
+        error=_partition().PartitionError(wide.error.update(code, full).code),
+    )
 
 
 def moved_to(wide: Any, chosen: Int[Array, " k"], position: Float[Array, "k 3"]) -> Any:

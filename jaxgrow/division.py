@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -70,7 +70,7 @@ def daughter_of_source(
     return start - depth * parameters.daughter_offset * source_normal(membrane)
 
 
-@eqx.filter_jit
+@jax.jit
 def divide_polyp(
     particles: Particles,
     membrane: Membrane,
@@ -87,7 +87,7 @@ def divide_polyp(
     return _born(particles, slot, daughter_of_source(membrane, depth, parameters))
 
 
-@eqx.filter_jit
+@jax.jit
 def divide_polyp_to(
     particles: Particles,
     membrane: Membrane,
@@ -98,7 +98,7 @@ def divide_polyp_to(
     return _born(particles, slot, membrane.vertices[membrane.source] + offset)
 
 
-@eqx.filter_jit
+@jax.jit
 def divide_myoma(
     particles: Particles,
     parent: Int[Array, ""],
@@ -107,11 +107,7 @@ def divide_myoma(
 ) -> Particles:
     """A tumour particle becomes two, at x + offset (the new one) and x - offset."""
     centre = particles.position[parent]
-    moved = eqx.tree_at(
-        lambda p: p.position,
-        particles,
-        particles.position.at[parent].set(centre - offset),
-    )
+    moved = particles.at(particles.position.at[parent].set(centre - offset))
     return _born(moved, slot, centre + offset)
 
 

@@ -1,15 +1,18 @@
 """Several growths side by side, each in a process of its own."""
 
+import itertools
 import operator
 import os
 import sys
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import as_completed, ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context
 from multiprocessing.synchronize import Event
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import jax
@@ -46,12 +49,12 @@ def grow_many(
     """Grow a lesion for each seed, several at the same time.
 
     A growth is a chain of small programs that one core is enough for, so members run
-    in processes of their own, a thread each; in one batched program every member
+    in several processes, this one among them; in one batched program every member
     would rebuild its lists whenever one has to. A member is bit for bit what `grow`
-    makes of its seed in a process with one thread. Processes take some ten seconds to
-    start, a gigabyte each, and share compiled programs through the cache on disk: the
-    one that JAX is configured with, or else that of the command. So it pays for growths
-    that take longer: eight of seven seconds took 56 s in two processes and 54 s in one.
+    makes of its seed in a process with one thread. Other processes take some seconds
+    to start, a gigabyte each, and share compiled programs through the cache on disk:
+    the one that JAX is configured with, or else that of the command. Each takes a
+    member as soon as it is free.
 
     Processes import the script that started them anew, as always with Python's
     `multiprocessing`. So it must be a file, with what is not to be repeated under a
@@ -67,9 +70,10 @@ def grow_many(
         scene: what to grow, and where.
         seeds: one for each member.
         parameters: of all members, or one for each; the scene's if None.
-        processes: how many at the same time; one for each core if None. With one,
-            members are grown in this process.
-        finished: called with every member as it is finished, in any order.
+        processes: how many at the same time, this one included; one for each core if
+            None.
+        finished: called with every member as it is finished, in any order; here, so
+            that of another process after the next division of this one's.
         **options: of `grow`: tolerance, max_divisions, max_seconds.
 
     Returns:
@@ -103,24 +107,98 @@ def grow_many(
     members = list(zip(seeds, each, strict=True))
     if min(processes, len(members)) <= 1:
         return tuple(_told(_grow(scene, *m, options), finished) for m in members)
-    context = get_context("spawn")
-    started = context.Event()
+    started = get_context("spawn").Event()
+    others = min(processes, len(members)) - 1
     pool = ProcessPoolExecutor(
-        min(processes, len(members)), context, _prepare, (_settings(), started)
+        others, get_context("spawn"), _prepare, (_settings(), started)
     )
+    shared = _Shared(members, finished)
     try:
         with _quiet():
-            running = [pool.submit(_grow, scene, *m, options) for m in members]
-        for member in as_completed(running):
-            _told(member.result(), finished)
-        grown = tuple(member.result() for member in running)
+            threads = [
+                Thread(
+                    target=shared.hand_out,
+                    args=(shared.waiting.popleft(), pool, scene, options),
+                    daemon=True,
+                )
+                for _ in range(others)
+            ]
+            for thread in threads:
+                thread.start()
+            # while it grows its own, this process learns of the others' after every
+            # division
+            shared.take(scene, {**options, "progress": lambda _: shared.look()})
+            for thread in threads:
+                while thread.is_alive():
+                    thread.join(0.1)
+                    shared.look()
+        shared.look()
     except BaseException as error:
+        shared.waiting.clear()
         _end(pool)
         if isinstance(error, BrokenProcessPool):
             raise RuntimeError(_why_broken(started)) from error
         raise
     pool.shutdown()
-    return grown
+    return tuple(shared.grown[number] for number in range(len(members)))
+
+
+class _Shared:
+    """Members that several processes take one after the other, as each is free.
+
+    Args:
+        members: seeds and parameters.
+        finished: called by this process's main thread.
+    """
+
+    def __init__(
+        self,
+        members: list[tuple[int, Parameters | None]],
+        finished: Callable[[Growth], None] | None,
+    ) -> None:
+        self.waiting = deque(enumerate(members))
+        self.grown: dict[int, Growth] = {}
+        self._finished = finished
+        self._told: set[int] = set()
+        self._error: BaseException | None = None
+
+    def hand_out(
+        self,
+        first: tuple[int, tuple[int, Parameters | None]],
+        pool: ProcessPoolExecutor,
+        scene: Scene,
+        options: dict[str, Any],
+    ) -> None:
+        """In a thread: let another process grow this one and others, one at a time."""
+        try:
+            for number, member in itertools.chain([first], self._rest()):
+                future = pool.submit(_grow, scene, *member, options)
+                self.grown[number] = future.result()
+        # whatever it is, the main thread raises it
+        except BaseException as error:
+            self._error = self._error or error
+
+    def take(self, scene: Scene, options: dict[str, Any]) -> None:
+        """Grow members in this process."""
+        for number, member in self._rest():
+            self.grown[number] = _grow(scene, *member, options)
+            self.look()
+
+    def look(self) -> None:
+        """Tell of members that were finished; raise what one of them raised."""
+        if self._error is not None:
+            raise self._error
+        for number in sorted(self.grown.keys() - self._told):
+            self._told.add(number)
+            _told(self.grown[number], self._finished)
+
+    def _rest(self) -> Iterator[tuple[int, tuple[int, Parameters | None]]]:
+        """Those that nobody has taken yet."""
+        while True:
+            try:
+                yield self.waiting.popleft()
+            except IndexError:
+                return
 
 
 _NO_DERIVATIVE = (

@@ -14,7 +14,7 @@ from jaxgrow.equilibrium.stages import exact_tolerance
 from jaxgrow.events import Event, Events, Start
 from jaxgrow.growth import Growth, Progress
 from jaxgrow.lesion import size_of
-from jaxgrow.parameters import Parameters
+from jaxgrow.parameters import as_arrays, Parameters
 from jaxgrow.planting import plant, Planted
 from jaxgrow.record import add_feeling, make_progress, make_record
 from jaxgrow.replay import numbers, plant_again, replay, tolerance_of_replay
@@ -110,7 +110,7 @@ def grow(
         )
     if max_seconds is not None and not max_seconds > 0:
         raise ValueError(f"max_seconds is {max_seconds}; it must be positive.")
-    parameters = parameters or scene.parameters
+    parameters = as_arrays(parameters or scene.parameters, jnp.float64)
     clock = Clock()
     with count_compilations() as compilations:
         if events is None:

@@ -152,7 +152,7 @@ def rebuilt(
     def patch_or_make() -> Neighbors:
         _, strays = _far(neighbors, position)
         wide_holds = _wide_holds(neighbors, position)
-        patch = strays <= _most_strays(position.shape[0])
+        patch = strays <= most_strays(position.shape[0])
         if position.shape[0] <= FEW:  # then it costs less to look through the wide list
             patch &= ~wide_holds
         return jax.lax.cond(
@@ -168,7 +168,8 @@ def _wide_holds(neighbors: Neighbors, position: Float[Array, "n 3"]) -> Bool[Arr
     return moved <= neighbors.wide_skin - SKIN
 
 
-def _most_strays(count: int) -> int:
+def most_strays(count: int) -> int:
+    """Up to how many of them are listed anew one by one."""
     return min(_STRAYS if count > FEW else _STRAYS_OF_FEW, count)
 
 
@@ -192,7 +193,7 @@ def _patched(neighbors: Neighbors, position: Float[Array, "n 3"]) -> Neighbors:
     """
     moved, strays = _far(neighbors, position)
     count = position.shape[0]
-    most = _most_strays(count)
+    most = most_strays(count)
     _, farthest = jax.lax.top_k(moved, most)
     chosen = jnp.where(jnp.arange(most) < strays, farthest, count)
     reference = neighbors.reference.at[chosen].set(position[farthest], mode="drop")

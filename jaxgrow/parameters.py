@@ -5,7 +5,10 @@ import warnings
 from dataclasses import fields
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 from jax.core import Tracer
+from jax.typing import DTypeLike
 
 from jaxgrow.energy.a2 import STABLE_ADHESION
 from jaxgrow.types import Scalar
@@ -103,3 +106,11 @@ class Parameters(eqx.Module):
                 UnstableAdhesionWarning,
                 stacklevel=3,
             )
+
+
+def as_arrays(parameters: Parameters, dtype: DTypeLike) -> Parameters:
+    """The same values as arrays: a number would be a constant of each program."""
+    values = jax.tree.leaves(parameters)
+    if all(isinstance(v, jax.Array) and v.dtype == dtype for v in values):
+        return parameters
+    return jax.tree.map(lambda value: jnp.asarray(value, dtype), parameters)

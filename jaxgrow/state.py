@@ -38,6 +38,10 @@ class Particles(eqx.Module):
         """Particles that equilibrium may move."""
         return self.alive & ~self.held
 
+    def at(self, position: Float[Array, "n 3"]) -> "Particles":
+        """The same particles elsewhere."""
+        return Particles(position, self.species, self.alive, self.held)
+
 
 class Membrane(eqx.Module):
     """The triangulated surface that covers all tissue; its normals leave the tissue.
@@ -66,6 +70,15 @@ class Membrane(eqx.Module):
     def free(self) -> Bool[Array, " m"]:
         """Vertices that equilibrium may move."""
         return self.vertex_alive & ~self.pinned
+
+    def at(self, vertices: Float[Array, "m 3"]) -> "Membrane":
+        """The same membrane elsewhere."""
+        return Membrane(
+            vertices,
+            *(self.faces, self.edges, self.rest_length),
+            *(self.vertex_alive, self.face_alive, self.edge_alive),
+            *(self.pinned, self.source),
+        )
 
 
 class FormerSurface(eqx.Module):

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 
-import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -274,7 +274,7 @@ def choose_divisions(
     return tuple(divisions) or None
 
 
-_daughter_of_source = eqx.filter_jit(daughter_of_source)
+_daughter_of_source = jax.jit(daughter_of_source)
 
 
 def divide(

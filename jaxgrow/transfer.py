@@ -112,11 +112,11 @@ def put_positions(
         return jnp.where(free[:, None], there, own)
 
     moved = placed(particles.position, positions.particles, particles.free)
-    particles = eqx.tree_at(lambda p: p.position, particles, moved)
+    particles = particles.at(moved)
     if membrane is not None:
         assert positions.vertices is not None
         moved = placed(membrane.vertices, positions.vertices, membrane.free)
-        membrane = eqx.tree_at(lambda m: m.vertices, membrane, moved)
+        membrane = membrane.at(moved)
     return particles, membrane
 
 
@@ -158,7 +158,7 @@ def put_remeshed(membrane: Membrane, remeshing: Remeshing) -> Membrane:
 
 
 _average = jax.jit(average_parents)
-_edge_length = eqx.filter_jit(edge_length)
+_edge_length = jax.jit(edge_length)
 
 
 def _vertex_capacity(mesh: Surface | Remeshing, most: int = 0) -> int:

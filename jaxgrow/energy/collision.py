@@ -32,6 +32,7 @@ from typing import TypeAlias
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxgrow.energy.a2 import A2
@@ -239,3 +240,13 @@ def collision_clearances(
     clear = clear.at[collisions.vertex].min(vertex, mode="drop")
     clear = clear.at[collisions.corners].min(vertex[:, None], mode="drop")
     return clear.at[collisions.edges].min(edge[:, None], mode="drop")
+
+
+def numbers_of_collision(parameters: Parameters, dtype: DTypeLike) -> Float[Array, "6"]:
+    """The law as its loops take it, see `jaxgrow.kernels.collision`."""
+    law = (
+        *(parameters.collision_range, parameters.collision_stiffness),
+        *(parameters.smoothing, parameters.contact_sharpness),
+        *(parameters.barrier_stiffness, PARALLEL),
+    )
+    return jnp.stack([jnp.asarray(number, dtype) for number in law])

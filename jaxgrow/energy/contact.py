@@ -20,6 +20,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxgrow.energy.a2 import A2, CUTOFF
@@ -290,18 +291,23 @@ def _forces_by_autodiff(
     return ContactForces(-slope[0], -slope[1], clear)
 
 
-def _forces_by_loop(
-    particles: Particles,
-    membrane: Membrane,
-    contacts: Contacts,
-    parameters: Parameters,
-) -> ContactForces:
+def numbers_of_contact(parameters: Parameters, dtype: DTypeLike) -> Float[Array, "8"]:
+    """The law as its loop takes it, see `jaxgrow.kernels.contact`."""
     law = (
         *(parameters.contact_range, parameters.contact_stiffness),
         *(parameters.contact_adhesion, parameters.smoothing),
         *(parameters.contact_sharpness, parameters.barrier_stiffness),
         *(parameters.barrier_range, CUTOFF),
     )
+    return jnp.stack([jnp.asarray(number, dtype) for number in law])
+
+
+def _forces_by_loop(
+    particles: Particles,
+    membrane: Membrane,
+    contacts: Contacts,
+    parameters: Parameters,
+) -> ContactForces:
     rows = particles.position, membrane.vertices
     like = [jax.ShapeDtypeStruct(r.shape, r.dtype) for r in rows]
     each = [jax.ShapeDtypeStruct(r.shape[:1], r.dtype) for r in rows]
@@ -313,7 +319,7 @@ def _forces_by_loop(
         contacts.particle,
         contacts.corners,
         contacts.real,
-        jnp.stack([jnp.asarray(number, rows[0].dtype) for number in law]),
+        numbers_of_contact(parameters, rows[0].dtype),
     )
     return ContactForces(on_particles, on_vertices, (clear[0], clear[1]))
 

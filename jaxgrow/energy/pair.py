@@ -19,6 +19,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxgrow.energy.a2 import A2, CUTOFF
@@ -150,6 +151,12 @@ def _pair_force_jvp(
     return jax.jvp(force, given, (moved.position, varied))
 
 
+def numbers_of_pair(parameters: Parameters, dtype: DTypeLike) -> Float[Array, "4"]:
+    """The law as its loop takes it, see `jaxgrow.kernels.pair`."""
+    law = parameters.adhesion, parameters.smoothing, parameters.tumour_stiffness, CUTOFF
+    return jnp.stack([jnp.asarray(number, dtype) for number in law])
+
+
 def _force_by_loop(
     particles: Particles, listed: Int[Array, "k n"], parameters: Parameters
 ) -> Float[Array, "n 3"]:
@@ -157,7 +164,6 @@ def _force_by_loop(
     count = position.shape[0]
     away = _AWAY * (1 + jnp.arange(count, dtype=position.dtype) / count)
     position = jnp.where(particles.alive[:, None], position, away[:, None])
-    law = parameters.adhesion, parameters.smoothing, parameters.tumour_stiffness, CUTOFF
     call = jax.ffi.ffi_call(
         target("pair"),
         jax.ShapeDtypeStruct(position.shape, position.dtype),
@@ -167,7 +173,7 @@ def _force_by_loop(
         position,
         particles.species == Species.TUMOUR,
         listed,
-        jnp.stack([jnp.asarray(number, position.dtype) for number in law]),
+        numbers_of_pair(parameters, position.dtype),
     )
 
 

@@ -16,6 +16,7 @@ towards the mean of its neighbours, which keeps triangles even.
 """
 
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from jaxgrow.numerics import safe_norm
@@ -35,3 +36,9 @@ def spring_energy(membrane: Membrane, parameters: Parameters) -> Float[Array, ""
     stretch = edge_length(membrane) - rest
     square = jnp.where(membrane.edge_alive, stretch, 0) ** 2
     return 0.5 * parameters.spring_stiffness * jnp.sum(square)
+
+
+def numbers_of_springs(parameters: Parameters, dtype: DTypeLike) -> Float[Array, "2"]:
+    """The law as its loop takes it, see `jaxgrow.kernels.springs`."""
+    law = parameters.spring_stiffness, parameters.pretension
+    return jnp.stack([jnp.asarray(number, dtype) for number in law])

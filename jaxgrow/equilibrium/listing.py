@@ -142,13 +142,27 @@ def _hold(problem: Problem, lists: Lists) -> Array:
     return ~(problem.outgrown(problem.nodes(), lists).any() | lists.overflow)
 
 
-def prepared(problem: Problem, lists: Lists, collide: CollisionLister | None) -> Lists:
-    """Lists that are valid for where the problem is now."""
-    now = lists.with_collisions(None)
-    if not bool(_hold(problem, now)):
-        now = _refresh(problem, now)
-    if bool(now.overflow):
-        now = allocate_lists(problem, now)
+def prepared(
+    problem: Problem,
+    lists: Lists,
+    collide: CollisionLister | None,
+    *,
+    refresh: bool = True,
+) -> Lists:
+    """Lists that are valid for where the problem is now.
+
+    Args:
+        problem: where it is.
+        lists: that fit it.
+        collide: lists on the host what may collide.
+        refresh: whether lists of the device that do not hold are made anew here.
+    """
+    now = lists if lists.collisions is None else lists.with_collisions(None)
+    if refresh:
+        if not bool(_hold(problem, now)):
+            now = _refresh(problem, now)
+        if bool(now.overflow):
+            now = allocate_lists(problem, now)
     if collide is None or problem.membrane is None:
         return now
     found = collide(problem.membrane.vertices, lists.of_host)

@@ -53,7 +53,12 @@ def _judge(problem: Problem, lists: Lists) -> tuple[Nodes, Nodes]:
 
 def may_pay(problem: Problem) -> bool:
     """Whether a problem is large enough to look for the part that is disturbed."""
-    return sum(rows.shape[0] for rows in jax.tree.leaves(problem.nodes())) >= FEWEST
+    count = 0
+    if problem.particles is not None:
+        count += problem.particles.position.shape[0]
+    if problem.membrane is not None:
+        count += problem.membrane.vertices.shape[0]
+    return count >= FEWEST
 
 
 def relax_locally(problem: Problem, lists: Lists, limits: Limits) -> Found:

@@ -27,7 +27,7 @@ from jaxgrow.energy.contact import (
 )
 from jaxgrow.energy.pair import pair_energy, pair_force
 from jaxgrow.energy.springs import spring_energy
-from jaxgrow.parameters import Parameters
+from jaxgrow.parameters import as_arrays, Parameters
 from jaxgrow.state import Membrane, Nodes, Particles
 from jaxgrow.types import Scalar
 
@@ -47,7 +47,7 @@ LEAST_LISTED = 2.5 * LARGEST_STEP
 """Distance, in r0, up to which parts of the membrane are listed in any case: what is
 not listed must not meet within one step of both."""
 
-COLLISION_SKIN = 0.1
+COLLISION_SKIN = 0.3
 """Extra distance of the collision list, in r0: it holds until the farthest moves of two
 vertices exceed it together."""
 
@@ -175,14 +175,17 @@ class Problem(eqx.Module):
         A Python float would be a constant of the program, compiled for each value.
         """
         given = Parameters() if parameters is None else parameters
-        dtype = cls(particles, membrane, given).dtype
-        arrays: Parameters = jax.tree.map(lambda v: jnp.asarray(v, dtype), given)
-        return cls(particles, membrane, arrays, load)
+        problem = cls(particles, membrane, given, load)
+        arrays = as_arrays(given, problem.dtype)
+        return problem if arrays is given else cls(particles, membrane, arrays, load)
 
     @property
     def dtype(self) -> jnp.dtype:
         """Of the positions."""
-        return jax.tree.leaves(self.nodes())[0].dtype
+        if self.particles is not None:
+            return self.particles.position.dtype
+        assert self.membrane is not None
+        return self.membrane.vertices.dtype
 
     def both(self) -> tuple[Particles, Membrane]:
         """Particles and membrane of a problem that has the contact between them."""
@@ -199,12 +202,14 @@ class Problem(eqx.Module):
 
     def at(self, nodes: Nodes) -> "Problem":
         """The same problem with its nodes at other positions."""
-        new = self
-        if self.particles is not None:
-            new = eqx.tree_at(lambda p: p.particles.position, new, nodes.particles)
-        if self.membrane is not None:
-            new = eqx.tree_at(lambda p: p.membrane.vertices, new, nodes.vertices)
-        return new
+        particles, membrane = self.particles, self.membrane
+        if particles is not None:
+            assert nodes.particles is not None
+            particles = particles.at(nodes.particles)
+        if membrane is not None:
+            assert nodes.vertices is not None
+            membrane = membrane.at(nodes.vertices)
+        return Problem(particles, membrane, self.parameters, self.load)
 
     def free(self) -> Nodes:
         """1 for rows that may move, 0 for held, pinned and padding ones."""

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -64,7 +64,7 @@ class Relaxation(NamedTuple):
     forces: Nodes
 
 
-@eqx.filter_jit
+@jax.jit
 def _set_apart(particles: Particles) -> Particles:
     """Move living particles that lie on each other's very point apart by a hair.
 
@@ -84,7 +84,7 @@ def _set_apart(particles: Particles) -> Particles:
     size = jnp.maximum(1, jnp.max(jnp.abs(position), axis=1, keepdims=True))
     hair = 1024 * jnp.finfo(position.dtype).eps * size * way
     moved = jnp.where((again & particles.free)[:, None], position + hair, position)
-    return eqx.tree_at(lambda p: p.position, particles, moved)
+    return particles.at(moved)
 
 
 def relax(
@@ -176,11 +176,11 @@ def relax(
             "observed; 'auto' is for everything."
         )
     given = Problem.of(particles, membrane, parameters, load)
-    problem = primal(given)
+    differentiated = is_differentiated(given)
+    problem = primal(given) if differentiated else given
     if problem.particles is not None:
         apart = _set_apart(problem.particles)
-        problem = eqx.tree_at(lambda p: p.particles, problem, apart)
-    differentiated = is_differentiated(given)
+        problem = Problem(apart, problem.membrane, problem.parameters, problem.load)
     if differentiated:
         tolerance = min(tolerance, exact_tolerance(given.dtype))
     if lists is None or not fits(problem, lists):

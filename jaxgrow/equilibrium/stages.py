@@ -1,17 +1,20 @@
 """The methods of a relaxation, and how one is run on lists that may overflow."""
 
-from collections.abc import Callable
-from typing import Literal, NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Any, get_args, Literal, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
+from jaxtyping import PyTree
 
 from jaxgrow.equilibrium.descent import blank_memory, descend, Minimiser
 from jaxgrow.equilibrium.euler import Euler
 from jaxgrow.equilibrium.fire import FIRE
 from jaxgrow.equilibrium.lbfgs import LBFGS
 from jaxgrow.equilibrium.listing import allocate_lists, CollisionLister, prepared
+from jaxgrow.equilibrium.looped import descend_by_loop, is_looped
 from jaxgrow.equilibrium.newton import polish
 from jaxgrow.equilibrium.problem import Lists, Problem
 from jaxgrow.equilibrium.serial import sweep
@@ -34,6 +37,8 @@ L-BFGS takes half of the time."""
 
 
 _descend = eqx.filter_jit(descend)
+# everything is an array there, and jax's own call takes a tenth of the time
+_descend_by_loop = jax.jit(descend_by_loop)
 _polish = eqx.filter_jit(polish)
 _sweep = eqx.filter_jit(sweep)
 _descend_by_trust = eqx.filter_jit(descend_by_trust)
@@ -82,31 +87,32 @@ def exact_tolerance(dtype: DTypeLike = jnp.float64) -> float:
     return 1e-10 if jnp.finfo(dtype).bits > 32 else 1e-5
 
 
-def stages_of(method: str, tolerance: float, parameters: Parameters) -> list[Stage]:
+def stages_of(method: str, tolerance: float, parameters: Parameters) -> Iterator[Stage]:
     """The methods to try in turn, until one reaches the tolerance.
 
     Raises:
         ValueError: the method is unknown.
     """
+    if method not in (known := get_args(Method)):
+        raise ValueError(f"method is {method!r}; it must be one of {list(known)}.")
+    # one after the other, as each is needed: most relaxations end with the first
+    if method == "local":
+        yield Stage("local", None, max(tolerance, NEAR))
+    lbfgs = Stage("lbfgs", LBFGS(), tolerance)
+    if method == "lbfgs" or (method in ("auto", "local") and tolerance >= POLISHED):
+        yield lbfgs
+    elif method in ("auto", "local"):
+        yield lbfgs._replace(tolerance=POLISHED)
+        yield Stage("newton", None, tolerance, polishes=True)
+        yield lbfgs._replace(polishes=True)
+    elif method in ("newton", "serial", "staggered"):
+        yield Stage(method, None, tolerance)
     # the stiffest pairs bound the stable time step: 2 / √λ, and λ grows with s
     stiffest = jnp.maximum(1.0, parameters.tumour_stiffness)
-    lbfgs = Stage("lbfgs", LBFGS(), tolerance)
-    fire = Stage("fire", FIRE(largest=0.4 / jnp.sqrt(stiffest)), tolerance)
-    newton = Stage("newton", None, tolerance)
-    euler = Stage("euler", Euler(Euler.rate / stiffest), tolerance)
-    serial = Stage("serial", None, tolerance)
-    auto = [lbfgs, fire]
-    if tolerance < POLISHED:
-        polish = newton._replace(polishes=True), lbfgs._replace(polishes=True)
-        auto = [lbfgs._replace(tolerance=POLISHED), *polish, fire]
-    local = Stage("local", None, max(tolerance, NEAR))
-    staggered = Stage("staggered", None, tolerance)
-    each = lbfgs, fire, newton, euler, serial, staggered
-    alone = {stage.name: [stage] for stage in each}
-    methods = {**alone, "auto": auto, "local": [local, *auto]}
-    if method not in methods:
-        raise ValueError(f"method is {method!r}; it must be one of {list(methods)}.")
-    return methods[method]
+    if method == "euler":
+        yield Stage("euler", Euler(Euler.rate / stiffest), tolerance)
+    if method in ("auto", "local", "fire"):
+        yield Stage("fire", FIRE(largest=0.4 / jnp.sqrt(stiffest)), tolerance)
 
 
 def run_stage(
@@ -118,54 +124,115 @@ def run_stage(
     observe: Callable[[Nodes], None] | None,
 ) -> Found:
     """One method; every list that overflows is allocated anew and larger."""
-    minimiser = stage.minimiser
+    if isinstance(stage.minimiser, LBFGS) and is_looped(problem):
+        run = _Looped(stage.minimiser, limits)
+    else:
+        run = _Compiled(stage, limits, problem)
     steps = rebuilds = overflows = 0
     memory = None
-    if minimiser is not None and (collide is not None or observe is not None):
-        memory = _blank_memory(problem, minimiser)
+    if stage.minimiser is not None and (collide is not None or observe is not None):
+        memory = _blank_memory(problem, stage.minimiser)
     while True:
-        lists = prepared(problem, lists, collide)
-        tolerance = jnp.asarray(limits.tolerance, problem.dtype)
-        largest = jnp.asarray(limits.largest_step, problem.dtype)
+        lists = prepared(problem, lists, collide, refresh=run.refreshes)
         left = limits.max_steps - steps
-        most = jnp.asarray(left if observe is None else 1)
-        if stage.name == "serial":
-            outcome = _sweep(problem, lists, tolerance, most, largest)
-            made = int(outcome.steps)
-            rebuilds += int(outcome.rebuilds)
-        elif stage.name == "newton" and not stage.polishes:
-            most = jnp.asarray(left)
-            outcome = _descend_by_trust(problem, lists, tolerance, most, largest)
-            made = int(outcome.products)
-            rebuilds += int(outcome.rebuilds)
-        elif minimiser is None:
-            outcome = _polish(problem, lists, tolerance, largest)
-            made = int(outcome.products)
-        else:
-            outcome = _descend(
-                problem, lists, minimiser, tolerance, most, largest, memory
-            )
-            made, memory = int(outcome.steps), outcome.memory
-            rebuilds += int(outcome.rebuilds)
-        steps += made
-        problem, lists = problem.at(outcome.nodes), outcome.lists
-        if observe is not None and made:
-            observe(outcome.nodes)
-        result = Result.of(int(outcome.code))
+        # newton's is not observed step by step
         single = observe is not None and stage.name != "newton"
-        paused = single or bool(lists.stale)
-        if result is Result.OVERFLOW:
+        outcome = run(problem, lists, 1 if single else left, memory)
+        steps, rebuilds = steps + outcome.steps, rebuilds + outcome.rebuilds
+        memory, lists = outcome.memory, outcome.lists
+        if observe is not None and outcome.steps:
+            observe(outcome.nodes)
+        host = lists.of_host
+        paused = single or (host is not None and bool(host.stale))
+        if outcome.result is Result.OVERFLOW:
             overflows += 1
+            problem = problem.at(outcome.nodes)
             lists = allocate_lists(problem, lists)
-        elif not (result is Result.STEP_LIMIT and steps < limits.max_steps and paused):
-            residual = float(outcome.residual)
+        elif (
+            outcome.result is Result.STEP_LIMIT and steps < limits.max_steps and paused
+        ):
+            problem = problem.at(outcome.nodes)
+        else:
             return Found(
                 outcome.nodes,
                 outcome.force,
                 lists,
-                result,
-                residual,
+                outcome.result,
+                outcome.residual,
                 steps,
                 rebuilds,
                 overflows,
             )
+
+
+class _Outcome(NamedTuple):
+    """Where a program ended.
+
+    Attributes:
+        nodes, force, lists, memory: as in `Descent`.
+        result, residual, steps, rebuilds: likewise, on the host.
+    """
+
+    nodes: Nodes
+    force: Nodes
+    lists: Lists
+    memory: PyTree
+    result: Result
+    residual: float
+    steps: int
+    rebuilds: int
+
+
+class _Looped(NamedTuple):
+    """L-BFGS in one loop; it makes its lists itself, but for those of the host."""
+
+    minimiser: LBFGS
+    limits: Limits
+
+    refreshes = False
+
+    def __call__(
+        self, problem: Problem, lists: Lists, most: int, memory: PyTree
+    ) -> _Outcome:
+        tolerance, _, largest = self.limits
+        end = _descend_by_loop(
+            problem, lists, self.minimiser, tolerance, most, largest, memory
+        )
+        return _outcome(end, end.memory, int(end.steps), int(end.rebuilds))
+
+
+class _Compiled:
+    """A method that XLA compiles."""
+
+    refreshes = True
+
+    def __init__(self, stage: Stage, limits: Limits, problem: Problem) -> None:
+        self._stage = stage
+        self._tolerance = jnp.asarray(limits.tolerance, problem.dtype)
+        self._largest = jnp.asarray(limits.largest_step, problem.dtype)
+
+    def __call__(
+        self, problem: Problem, lists: Lists, most: int, memory: PyTree
+    ) -> _Outcome:
+        name, minimiser = self._stage.name, self._stage.minimiser
+        bounds = self._tolerance, jnp.asarray(most), self._largest
+        if name == "serial":
+            end = _sweep(problem, lists, *bounds)
+            return _outcome(end, memory, int(end.steps), int(end.rebuilds))
+        if name == "newton" and self._stage.polishes:
+            end = _polish(problem, lists, self._tolerance, self._largest)
+            return _outcome(end, memory, int(end.products), 0)
+        if name == "newton":
+            end = _descend_by_trust(problem, lists, *bounds)
+            return _outcome(end, memory, int(end.products), int(end.rebuilds))
+        assert minimiser is not None
+        end = _descend(problem, lists, minimiser, *bounds, memory)
+        return _outcome(end, end.memory, int(end.steps), int(end.rebuilds))
+
+
+def _outcome(end: Any, memory: PyTree, steps: int, rebuilds: int) -> _Outcome:
+    """What a program returned, with its numbers on the host."""
+    result, residual = Result.of(end.code), float(end.residual)
+    return _Outcome(
+        end.nodes, end.force, end.lists, memory, result, residual, steps, rebuilds
+    )

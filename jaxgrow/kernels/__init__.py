@@ -1,23 +1,55 @@
-"""Inner loops for processors: compiled by numba, called by XLA programs.
+"""Inner loops for processors: compiled by numba, called by XLA programs or the host.
 
 XLA runs a sum over neighbours on a processor as many small programs with arrays between
-them; a loop keeps a pair in registers. Of a polyp's 768 slots, pair forces take half of
-the time, contact forces two thirds, near lists a quarter and wide ones a tenth of what
-they take as XLA programs. Where numba is not installed (extra ``fast``), on
-accelerators, in 32 bits and under a derivative the same is computed by XLA; tests hold
-both equal, to rounding. Each loop runs on one thread.
+them; a loop keeps a pair in registers. A whole descent is one loop. Where numba is not
+installed (extra ``fast``), on accelerators, in 32 bits and under a derivative the same
+is computed by XLA, and by NumPy what the host does; tests hold both equal, to rounding.
+Each loop runs on one thread.
 """
 
 import functools
+import hashlib
 import os
+from contextlib import suppress
 from importlib.util import find_spec
+from pathlib import Path
 
 
 SWITCH = "JAXGROW_KERNELS"
-"""Environment variable that, set to ``off``, leaves everything to XLA."""
+"""Environment variable that, set to ``off``, leaves everything to XLA and NumPy."""
 
 
 @functools.cache
 def wanted() -> bool:
     """Whether loops may be used here: numba is installed, and nobody objects."""
-    return os.environ.get(SWITCH, "") != "off" and find_spec("numba") is not None
+    if os.environ.get(SWITCH, "") == "off" or find_spec("numba") is None:
+        return False
+    with suppress(OSError):  # a folder that nobody may write to
+        forget_others(Path(__file__).parent)
+    return True
+
+
+def forget_others(folder: Path) -> bool:
+    """Delete the loops that were compiled from other sources.
+
+    Numba keeps compiled loops on disk beside their source, and looks for a newer one in
+    the same file only, not in those that it calls.
+
+    Args:
+        folder: of the sources.
+
+    Returns:
+        Whether there may have been any.
+    """
+    sources = hashlib.sha256()
+    for path in sorted(folder.glob("*.py")):
+        sources.update(path.name.encode() + b"\0" + path.read_bytes())
+    cache = folder / "__pycache__"
+    stamp = cache / "loops.sha256"
+    if stamp.exists() and stamp.read_text() == sources.hexdigest():
+        return False
+    for loop in (*cache.glob("*.nbi"), *cache.glob("*.nbc")):
+        loop.unlink(missing_ok=True)
+    cache.mkdir(exist_ok=True)
+    stamp.write_text(sources.hexdigest())
+    return True

@@ -7,6 +7,7 @@ import numpy as np
 from numba import cfunc, njit
 
 from jaxgrow.kernels import frames
+from jaxgrow.kernels.layout import AWAY
 
 
 @njit(cache=True)
@@ -33,7 +34,7 @@ def find(
     and loses none.
 
     Args:
-        position: of the points, in r0.
+        position: of the points, in r0; those at `AWAY` or beyond have no neighbours.
         size: of a cell; no less than the radius.
         radius: that neighbours are closer than.
         side: number of cells along an axis; three at least.
@@ -44,6 +45,8 @@ def find(
     cell = np.zeros((count, 3), np.int64)
     first = np.zeros(side**3 + 1, np.int64)
     for i in range(count):
+        if position[i, 0] >= AWAY:
+            continue
         for axis in range(3):
             cell[i, axis] = _place(position[i, axis], size, side)
         first[(cell[i, 0] * side + cell[i, 1]) * side + cell[i, 2] + 1] += 1
@@ -53,6 +56,8 @@ def find(
     order, next_place = np.zeros(count, np.int64), first[:-1].copy()
     sorted_position = np.zeros((count, 3))
     for i in range(count):
+        if position[i, 0] >= AWAY:
+            continue
         number = (cell[i, 0] * side + cell[i, 1]) * side + cell[i, 2]
         place = next_place[number]
         next_place[number] += 1
@@ -64,7 +69,7 @@ def find(
     for i in range(count):
         x, y, z = position[i, 0], position[i, 1], position[i, 2]
         found = 0
-        for way in range(27):
+        for way in range(27 if x < AWAY else 0):
             a = (cell[i, 0] + way // 9 - 1) % side
             b = (cell[i, 1] + way // 3 % 3 - 1) % side
             c = (cell[i, 2] + way % 3 - 1) % side

@@ -1,8 +1,4 @@
-"""Reading a call frame of XLA in compiled loops; see `jaxgrow.kernels.ffi`.
-
-Numba keeps compiled loops on disk and does not notice that another file changed: after
-changes here, delete the ``__pycache__`` of this folder.
-"""
+"""Reading a call frame of XLA in compiled loops; see `jaxgrow.kernels.ffi`."""
 
 from typing import Any, no_type_check
 
@@ -17,8 +13,12 @@ _EXTENSION, _API = 1, 2
 _ARGUMENTS, _RESULTS = 9, 14
 """Entries of a frame: pointers to those of the buffers."""
 
-_DATA, _DIMENSIONS = 3, 5
+_TYPE, _DATA, _RANK, _DIMENSIONS = 2, 3, 4, 5
 """Entries of a buffer."""
+
+_WIDTH = np.array([0, 1, 1, 2, 4, 8, 1, 2, 4, 8, 2, 4, 8], np.int64)
+"""Bytes of a number of each type: none, booleans, whole numbers with and without sign
+of 8 to 64 bits, and real ones of 16 to 64."""
 
 _MAJOR = 0
 """Of the version whose layout this is."""
@@ -75,6 +75,20 @@ def size(frame_at: int, number: int, axis: int) -> int:
 
 @njit(cache=True)
 @no_type_check
+def _bytes(frame_at: int, number: int) -> int:
+    """What an argument takes."""
+    buffers = _words(_words(frame_at, 15)[_ARGUMENTS], number + 1)
+    buffer = _words(buffers[number], 6)
+    extent = _WIDTH[np.int32(buffer[_TYPE])]
+    rank = buffer[_RANK]
+    dimensions = _words(buffer[_DIMENSIONS], rank)
+    for axis in range(rank):
+        extent *= dimensions[axis]
+    return extent
+
+
+@njit(cache=True)
+@no_type_check
 def size_of_result(frame_at: int, number: int, axis: int) -> int:
     """Length of a result along an axis."""
     buffers = _words(_words(frame_at, 15)[_RESULTS], number + 1)
@@ -119,3 +133,20 @@ def booleans(address: int, shape: tuple[int, ...]) -> np.ndarray:
 
 HANDLER = types.intp(types.intp)
 """Signature: given the address of a frame; returns that of an error, 0 for none."""
+
+
+@njit(cache=True)
+@no_type_check
+def keep(frame_at: int, number: int, count: int) -> None:
+    """Begin the results with these arguments, as they are; results share their memory.
+
+    Args:
+        frame_at: of the call.
+        number: of the argument that the first result begins as; others follow.
+        count: of results that do.
+    """
+    for k in range(count):
+        before, after = argument(frame_at, number + k), result(frame_at, k)
+        if before != after:
+            extent = _bytes(frame_at, number + k)
+            booleans(after, (extent,))[:] = booleans(before, (extent,))

@@ -1,8 +1,6 @@
-"""The law of `jaxgrow.A2` for compiled loops.
+"""The laws of forces for compiled loops."""
 
-As in `jaxgrow.kernels.frames`, changes here are not noticed by loops kept on disk.
-"""
-
+import math
 from typing import no_type_check
 
 import numpy as np
@@ -35,3 +33,13 @@ def branches(smoothing: float, cutoff: float) -> tuple[float, float, float, floa
     if smoothing > 0.0:
         return 0.5 - smoothing, 0.5 / smoothing, cutoff, 1.0 / smoothing
     return np.nextafter(0.5, 0.0), 1e300, np.nextafter(cutoff, 2.0 * cutoff), 1e300
+
+
+@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@no_type_check
+def steepness(u: float, margin: float) -> float:
+    """Minus the derivative of `jaxgrow.energy.contact.barrier` at u; not negative."""
+    if not u < margin:
+        return 0.0
+    inside = u - margin
+    return 2.0 * inside * math.log(u / margin) + inside * inside / u

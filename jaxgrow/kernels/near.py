@@ -6,6 +6,7 @@ import numpy as np
 from numba import cfunc, njit
 
 from jaxgrow.kernels import frames
+from jaxgrow.kernels.layout import AWAY
 
 
 @njit(cache=True)
@@ -20,7 +21,7 @@ def find(
     """Write the neighbours of each particle that are near now.
 
     Args:
-        position: of the particles, in r0.
+        position: of the particles, in r0; those at `AWAY` or beyond have no neighbours.
         wide: neighbours of each, particle by particle; n and above for empty entries.
         square: of the distance that near ones are closer than.
         listed: the near ones of each, in their order, neighbour-major; n for empty
@@ -33,7 +34,7 @@ def find(
     for i in range(count):
         x, y, z = position[i, 0], position[i, 1], position[i, 2]
         found = 0
-        for entry in range(entries):
+        for entry in range(entries if x < AWAY else 0):
             j = wide[i, entry]
             if j < count:
                 dx, dy, dz = x - position[j, 0], y - position[j, 1], z - position[j, 2]

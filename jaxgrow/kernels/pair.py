@@ -8,6 +8,7 @@ from numba import cfunc, njit
 
 from jaxgrow.kernels import frames
 from jaxgrow.kernels.laws import a2, branches, EXACT
+from jaxgrow.kernels.layout import AWAY
 
 
 @njit(cache=True, fastmath=EXACT, error_model="numpy")
@@ -25,7 +26,7 @@ def add_up(
     along it: both are loops without a branch, which run on several pairs at once.
 
     Args:
-        position: of the particles, in r0, dead ones far away.
+        position: of the particles, in r0, dead ones at `AWAY` or beyond.
         tumour: which are of the tumour.
         listed: neighbours of each, neighbour-major; n and above for empty entries.
         law: adhesion, smoothing, stiffness of pairs of tumour particles, and distance
@@ -41,6 +42,9 @@ def add_up(
     farthest = cutoff * cutoff
     for i in range(count):
         x, y, z = position[i, 0], position[i, 1], position[i, 2]
+        if x >= AWAY:
+            force[i, 0], force[i, 1], force[i, 2] = 0.0, 0.0, 0.0
+            continue
         stiffer = tumour[i] and stiffness != 1.0
         near = 0
         for k in range(room):

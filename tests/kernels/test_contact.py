@@ -14,12 +14,12 @@ from jaxgrow.energy.contact import (
     reach,
 )
 from jaxgrow.parameters import Parameters
-from jaxgrow.state import Membrane, Particles
+from jaxgrow.state import Particles
 
 
 pytest.importorskip("numba")
 
-COUNT, SIDE = 60, 6
+COUNT = 60
 CALL = "jaxgrow_contact"
 
 
@@ -27,34 +27,11 @@ def law(**values):
     return jax.tree.map(lambda v: jnp.asarray(v, float), Parameters(**values))
 
 
-def sheet(height):
-    """A grid with triangles that are needles, and a dead one."""
-    y, x = np.mgrid[:SIDE, :SIDE].astype(float)
-    vertices = np.stack([0.8 * x, 0.8 * y, height(x, y)], axis=-1).reshape(-1, 3)
-    index = np.arange(SIDE**2).reshape(SIDE, SIDE)
-    a, b = index[:-1, :-1].ravel(), index[:-1, 1:].ravel()
-    c, d = index[1:, 1:].ravel(), index[1:, :-1].ravel()
-    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    vertices[8] = 0.5 * (vertices[7] + vertices[14]) + [1e-9, 0, 0]
-    count = len(vertices)
-    return Membrane(
-        jnp.asarray(vertices),
-        jnp.asarray(faces),
-        jnp.zeros((1, 2), int),
-        jnp.ones(1),
-        jnp.ones(count, bool),
-        jnp.arange(len(faces)) != 3,
-        jnp.zeros(1, bool),
-        jnp.zeros(count, bool),
-        jnp.asarray(-1),
-    )
-
-
 @pytest.fixture(scope="module")
-def scene():
+def scene(make_sheet):
     """Particles on both sides of a wavy sheet, some of them dead, some very near."""
     rng = np.random.default_rng(2)
-    membrane = sheet(lambda x, y: 0.3 * np.sin(x) * np.cos(y))
+    membrane = make_sheet(lambda x, y: 0.3 * np.sin(x) * np.cos(y))
     position = rng.uniform([-0.5, -0.5, -1.2], [4.5, 4.5, 1.2], (COUNT, 3))
     corners = np.asarray(membrane.vertices)
     position[:2] = corners[17], np.mean(corners[[0, 1, 7]], axis=0)

@@ -1,0 +1,162 @@
+"""The descent by loops (`jaxgrow.kernels.steps`) as a handler of XLA.
+
+Its arguments are the fields of `Scene`, `Laws`, `Bounds` (in one array), the wide
+`Lists`, the near ones, `Now` and `Memory`, see `jaxgrow.kernels.layout`. From the
+lists on they change: they are the results too, which share their memory. (The wide
+collisions are the host's, and stay as they are.)
+"""
+
+from typing import no_type_check
+
+import numpy as np
+from numba import cfunc, njit
+
+from jaxgrow.kernels import frames
+from jaxgrow.kernels.layout import (
+    Bounds,
+    Laws,
+    Lists,
+    Memory,
+    Now,
+    Pairs,
+    Scene,
+    Touching,
+)
+from jaxgrow.kernels.steps import descend
+
+
+WIDE, NEAR, NOW, MEMORY, END = 15, 30, 45, 54, 59
+"""Numbers of the first arguments of a kind, and of all."""
+
+
+@njit(cache=True)
+@no_type_check
+def _at(frame: int, number: int) -> int:
+    """Address of an argument, or of the result that it became."""
+    if number < WIDE:
+        return frames.argument(frame, number)
+    return frames.result(frame, number - WIDE)
+
+
+@njit(cache=True)
+@no_type_check
+def _points(frame: int, number: int) -> np.ndarray:
+    return frames.reals(_at(frame, number), (frames.size(frame, number, 0), 3))
+
+
+@njit(cache=True)
+@no_type_check
+def _numbers(frame: int, number: int) -> np.ndarray:
+    return frames.reals(_at(frame, number), (frames.size(frame, number, 0),))
+
+
+@njit(cache=True)
+@no_type_check
+def _flags(frame: int, number: int) -> np.ndarray:
+    return frames.booleans(_at(frame, number), (frames.size(frame, number, 0),))
+
+
+@njit(cache=True)
+@no_type_check
+def _whole(frame: int, number: int) -> np.ndarray:
+    return frames.long_indices(_at(frame, number), (frames.size(frame, number, 0),))
+
+
+@njit(cache=True)
+@no_type_check
+def _table(frame: int, number: int) -> np.ndarray:
+    rows, columns = frames.size(frame, number, 0), frames.size(frame, number, 1)
+    return frames.long_indices(_at(frame, number), (rows, columns))
+
+
+@njit(cache=True)
+@no_type_check
+def _short(frame: int, number: int) -> np.ndarray:
+    return frames.indices(_at(frame, number), (frames.size(frame, number, 0),))
+
+
+@njit(cache=True)
+@no_type_check
+def _lists(frame: int, first: int) -> Lists:
+    rows, columns = frames.size(frame, first, 0), frames.size(frame, first, 1)
+    return Lists(
+        frames.indices(_at(frame, first), (rows, columns)),
+        _points(frame, first + 1),
+        Touching(
+            _short(frame, first + 2),
+            _short(frame, first + 3),
+            _table(frame, first + 4),
+            _flags(frame, first + 5),
+        ),
+        _points(frame, first + 6),
+        _points(frame, first + 7),
+        Pairs(
+            _whole(frame, first + 8),
+            _table(frame, first + 9),
+            _flags(frame, first + 10),
+            _numbers(frame, first + 11),
+            _table(frame, first + 12),
+            _numbers(frame, first + 13),
+        ),
+        _points(frame, first + 14),
+    )
+
+
+@njit(cache=True)
+@no_type_check
+def _pairs_of_memory(frame: int, number: int) -> np.ndarray:
+    """Displacements or changes, all coordinates of each in a row."""
+    rows, nodes = frames.size(frame, number, 0), frames.size(frame, number, 1)
+    return frames.reals(_at(frame, number), (rows, 3 * nodes))
+
+
+@cfunc(frames.HANDLER, cache=True)
+@no_type_check
+def handler(frame: int) -> int:
+    """For XLA: arguments and results as told above."""
+    if frames.answers_version(frame):
+        return 0
+    frames.keep(frame, WIDE, END - WIDE)
+    scene = Scene(
+        _flags(frame, 0),
+        _flags(frame, 1),
+        _flags(frame, 2),
+        _table(frame, 3),
+        _flags(frame, 4),
+        _table(frame, 5),
+        _numbers(frame, 6),
+        _flags(frame, 7),
+        _points(frame, 8),
+        _points(frame, 9),
+    )
+    laws = Laws(
+        _numbers(frame, 10),
+        _numbers(frame, 11),
+        _numbers(frame, 12),
+        _numbers(frame, 13),
+    )
+    b = _numbers(frame, 14)
+    bounds = Bounds(
+        *(b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]),
+        *(b[8], b[9], b[10], b[11], b[12], b[13], b[14], b[15]),
+    )
+    now = Now(
+        _points(frame, NOW),
+        _points(frame, NOW + 1),
+        _points(frame, NOW + 2),
+        _points(frame, NOW + 3),
+        _points(frame, NOW + 4),
+        _points(frame, NOW + 5),
+        _points(frame, NOW + 6),
+        _numbers(frame, NOW + 7),
+        _whole(frame, NOW + 8),
+    )
+    memory = Memory(
+        _pairs_of_memory(frame, MEMORY),
+        _pairs_of_memory(frame, MEMORY + 1),
+        _numbers(frame, MEMORY + 2),
+        _whole(frame, MEMORY + 3),
+        _numbers(frame, MEMORY + 4),
+    )
+    descend(scene, laws, bounds, _lists(frame, WIDE), _lists(frame, NEAR), now, memory)
+    return 0

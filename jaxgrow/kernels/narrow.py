@@ -1,0 +1,116 @@
+"""What is near now of a wide list of contacts, and of one of collisions.
+
+The loops of `jaxgrow.energy.contact.narrow_contacts` and
+`jaxgrow.energy.collision.narrow_collisions`.
+"""
+
+import math
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+from jaxgrow.kernels.closest import closest_of_segments, LENGTH, measure
+from jaxgrow.kernels.laws import EXACT
+from jaxgrow.kernels.layout import Pairs, Touching
+from jaxgrow.kernels.touching import pad
+
+
+@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@no_type_check
+def find_contacts(
+    wide: Touching,
+    position: np.ndarray,
+    vertices: np.ndarray,
+    radius: float,
+    near: Touching,
+) -> bool:
+    """Write those that are closer than a radius, in their order.
+
+    Args:
+        wide: all that there are.
+        position: of the particles, in r0.
+        vertices: of the membrane.
+        radius: in r0.
+        near: the list; written, with padding behind.
+
+    Returns:
+        Whether they had room.
+    """
+    room, count, pairs = len(near.real), 0, len(wide.real)
+    while pairs > 0 and not wide.real[pairs - 1]:
+        pairs -= 1
+    found = np.zeros((6, pairs))
+    owner, corners = wide.particle[:pairs], wide.corners[:, :pairs]
+    measure(position, owner, vertices, corners, found)
+    for pair in range(pairs):
+        if wide.real[pair] and found[LENGTH, pair] < radius:
+            if count < room:
+                near.particle[count] = owner[pair]
+                near.face[count] = wide.face[pair]
+                for corner in range(3):
+                    near.corners[corner, count] = corners[corner, pair]
+                near.real[count] = True
+            count += 1
+    pad(near, count, len(position))
+    return count <= room
+
+
+@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@no_type_check
+def find_collisions(
+    wide: Pairs,
+    points: np.ndarray,
+    scale: float,
+    least: float,
+    skin: float,
+    near: Pairs,
+) -> bool:
+    """Write those that matter until two vertices have moved by a skin together.
+
+    Args:
+        wide: all that there are.
+        points: the membrane's vertices, then the static ones, in r0.
+        scale: collision range, in r0.
+        least: distance, in r0, up to which pairs are listed in any case.
+        skin: extra distance, in r0.
+        near: the list; written, with padding behind.
+
+    Returns:
+        Whether they had room.
+    """
+    room, count, pairs = len(near.vertex), 0, len(wide.vertex)
+    while pairs > 0 and not wide.vertex_margin[pairs - 1] > 0.0:
+        pairs -= 1
+    found = np.zeros((6, pairs))
+    measure(points, wide.vertex[:pairs], points, wide.corners[:pairs].T, found)
+    for pair in range(pairs):
+        margin = wide.vertex_margin[pair]
+        within = scale if wide.apart[pair] else scale * margin
+        near_now = found[LENGTH, pair] < max(within, least) + skin
+        if margin > 0.0 and near_now:
+            if count < room:
+                near.vertex[count] = wide.vertex[pair]
+                near.corners[count] = wide.corners[pair]
+                near.apart[count] = wide.apart[pair]
+                near.vertex_margin[count] = margin
+            count += 1
+    for pair in range(count, room):
+        near.vertex[pair], near.corners[pair] = len(points) - 1, 0
+        near.apart[pair], near.vertex_margin[pair] = False, 0.0
+    fits, room, count = count <= room, len(near.edges), 0
+    between = np.zeros(6)
+    for pair in range(len(wide.edges)):
+        margin = wide.edge_margin[pair]
+        if not margin > 0.0:
+            continue
+        ends = wide.edges[pair]
+        a, b, c, d = points[ends[0]], points[ends[1]], points[ends[2]], points[ends[3]]
+        closest_of_segments(a, b, c, d, between)
+        if math.sqrt(between[3]) < max(scale * margin, least) + skin:
+            if count < room:
+                near.edges[count], near.edge_margin[count] = ends, margin
+            count += 1
+    for pair in range(count, room):
+        near.edges[pair], near.edge_margin[pair] = 0, 0.0
+    return fits and count <= room

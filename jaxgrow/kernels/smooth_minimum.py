@@ -1,0 +1,108 @@
+"""The smooth minimum of `jaxgrow.energy.smooth_minimum`, with its derivative."""
+
+import math
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+from jaxgrow.kernels.laws import EXACT
+
+
+_LEAST = 1e-30
+"""Distance that stands for 0, see `jaxgrow.numerics.smallest_distance`."""
+
+_LARGEST_WHOLE = 64.0
+"""Exponent up to which powers are made by products, if it is a whole one."""
+
+
+@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@no_type_check
+def _power(base: float, exponent: float) -> float:
+    """A positive base to a power."""
+    if exponent != math.floor(exponent) or exponent > _LARGEST_WHOLE:
+        return base**exponent
+    left, value = np.int64(exponent), 1.0
+    while left > 0:
+        if left & 1:
+            value *= base
+        base *= base
+        left >>= 1
+    return value
+
+
+@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@no_type_check
+def _raise(base: np.ndarray, exponent: float, value: np.ndarray) -> None:
+    """Write the powers of a row, which is used up; product after product of all."""
+    if exponent != math.floor(exponent) or exponent > _LARGEST_WHOLE:
+        for k in range(len(base)):
+            value[k] = base[k] ** exponent
+        return
+    left = np.int64(exponent)
+    for k in range(len(base)):
+        value[k] = 1.0
+    while left > 0:
+        if left & 1:
+            for k in range(len(base)):
+                value[k] *= base[k]
+        for k in range(len(base)):
+            base[k] *= base[k]
+        left >>= 1
+
+
+@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@no_type_check
+def smooth_minima(
+    owner: np.ndarray,
+    value: np.ndarray,
+    half: float,
+    reach: float,
+    u: np.ndarray,
+    slope: np.ndarray,
+) -> None:
+    """Write the smooth minimum of the values of each owner, and its derivative.
+
+    Args:
+        owner: of each value, ascending.
+        value: not negative; what is not below the reach does not count.
+        half: of the sharpness.
+        reach: R of the formula.
+        u: the smooth minimum, of the owner of each value; the reach where none counts.
+        slope: its derivative in each value, 0 of those that do not count.
+    """
+    count = len(value)
+    share, far = np.zeros(count), np.zeros(count)
+    start = 0
+    while start < count:
+        stop, nearest = start, reach
+        while stop < count and owner[stop] == owner[start]:
+            nearest = min(nearest, value[stop])
+            stop += 1
+        # the formula is homogeneous: measured in the nearest value nothing overflows
+        unit = max(nearest, _LEAST)
+        beyond = _power(unit / reach, half) if nearest < reach else 1.0
+        for k in range(start, stop):
+            u[k], far[k] = unit, beyond
+            share[k] = unit / max(value[k], _LEAST) if value[k] < reach else 0.0
+        start = stop
+    _raise(share, half, slope)
+    start = 0
+    while start < count:
+        stop, total = start, 0.0
+        while stop < count and owner[stop] == owner[start]:
+            excess = slope[stop] - far[stop]
+            total += excess * excess if excess > 0.0 else 0.0
+            stop += 1
+        norm, least = math.sqrt(total), reach
+        scale = 0.0
+        if norm > 0.0:
+            inner = norm + far[start]
+            least = u[start] * inner ** (-1.0 / half)
+            scale = least / inner / norm
+        for k in range(start, stop):
+            excess = slope[k] - far[k]
+            counts = excess > 0.0 and value[k] > _LEAST
+            slope[k] = scale * excess * slope[k] / value[k] if counts else 0.0
+            u[k] = least
+        start = stop

@@ -1,0 +1,39 @@
+"""Surfaces with triangles that loops must not mistake."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxgrow.state import Membrane
+
+
+SIDE = 6
+
+
+@pytest.fixture(scope="session")
+def make_sheet():
+    """A grid of heights that are told by a function."""
+
+    def make(height):
+        """A grid with triangles that are needles, and a dead one."""
+        y, x = np.mgrid[:SIDE, :SIDE].astype(float)
+        vertices = np.stack([0.8 * x, 0.8 * y, height(x, y)], axis=-1).reshape(-1, 3)
+        index = np.arange(SIDE**2).reshape(SIDE, SIDE)
+        a, b = index[:-1, :-1].ravel(), index[:-1, 1:].ravel()
+        c, d = index[1:, 1:].ravel(), index[1:, :-1].ravel()
+        faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+        vertices[8] = 0.5 * (vertices[7] + vertices[14]) + [1e-9, 0, 0]
+        count = len(vertices)
+        return Membrane(
+            jnp.asarray(vertices),
+            jnp.asarray(faces),
+            jnp.zeros((1, 2), int),
+            jnp.ones(1),
+            jnp.ones(count, bool),
+            jnp.arange(len(faces)) != 3,
+            jnp.zeros(1, bool),
+            jnp.zeros(count, bool),
+            jnp.asarray(-1),
+        )
+
+    return make
