@@ -17,6 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
+from jaxgrow import kernels
 from jaxgrow.mesh.intersection import intersecting_pairs
 from jaxgrow.mesh.proximity import closest_on_segments, closest_on_triangles
 from jaxgrow.mesh.quality import lengths
@@ -160,6 +161,8 @@ def encounters(sheet: Sheet, *, apart: float, local: float, along: float) -> Enc
         All pairs, by exact distance.
     """
     edges, length = _edges(sheet)
+    if kernels.serve(sheet.vertices):
+        return _by_loops(sheet, edges, length, apart, local, along)
     joined = _joined(sheet, edges, length, along)
     reach = max(apart, local)
 
@@ -200,6 +203,58 @@ def encounters(sheet: Sheet, *, apart: float, local: float, along: float) -> Enc
     )
 
 
+def _by_loops(
+    sheet: Sheet,
+    edges: Int[np.ndarray, "e 2"],
+    length: Float[np.ndarray, " e"],
+    apart: float,
+    local: float,
+    along: float,
+) -> Encounters:
+    """The same as `encounters` by loops."""
+    from jaxgrow.kernels import encounters as loops
+
+    vertices, moving = sheet.vertices, sheet.moving
+    first, reached = loops.joined(edges, length, len(vertices), along)
+    vertex, face, distance, far = loops.vertices_and_faces(
+        vertices, sheet.faces, moving, first, reached, apart, local
+    )
+    rank = np.zeros(len(edges), dtype=np.int64)
+    rank[np.argsort(length, kind="stable")] = np.arange(len(edges))
+    one, other, between, edge_far = loops.pairs_of_edges(
+        vertices, edges, rank, moving, first, reached, apart, local
+    )
+    order = np.argsort(rank[one] * len(rank) + rank[other])
+    return Encounters(
+        vertex=vertex,
+        corners=sheet.faces[face],
+        vertex_distance=distance,
+        vertex_apart=far,
+        edges=np.concatenate([edges[one[order]], edges[other[order]]], axis=1),
+        edge_distance=between[order],
+        edge_apart=edge_far[order],
+    )
+
+
+def distances_of(
+    vertices: Float[np.ndarray, "m 3"], found: Encounters
+) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " q"]]:
+    """Exact distances of the pairs where the sheet's vertices are elsewhere.
+
+    Args:
+        vertices: Positions.
+        found: Pairs of vertices with triangles, and of edges.
+    """
+    if kernels.serve(vertices):
+        from jaxgrow.kernels import distances as loops
+
+        return loops.of_pairs(vertices, found.vertex, found.corners, found.edges)
+    corners, ends = vertices[found.corners], vertices[found.edges]
+    to_triangle, _ = closest_on_triangles(vertices[found.vertex], corners)
+    between, _, _ = closest_on_segments(ends[:, :2], ends[:, 2:])
+    return to_triangle, between
+
+
 def nearest_apart(sheet: Sheet, *, within: float, along: float) -> float:
     """Smallest distance of a vertex to a triangle that is apart from it.
 
@@ -211,10 +266,19 @@ def nearest_apart(sheet: Sheet, *, within: float, along: float) -> float:
     Returns:
         The distance, infinite if there is none up to ``within``.
     """
+    edges, length = _edges(sheet)
+    if kernels.serve(sheet.vertices):
+        from jaxgrow.kernels import encounters as loops
+
+        joined = loops.joined(edges, length, len(sheet.vertices), along)
+        _, _, distance, _ = loops.vertices_and_faces(
+            sheet.vertices, sheet.faces, sheet.moving, *joined, within, -1.0
+        )
+        return float(distance.min(initial=np.inf))
     vertex, face = _vertex_face_candidates(sheet, within)
     corners = sheet.faces[face]
     near = sheet.moving[vertex] | sheet.moving[corners].any(axis=1)
-    joined = _joined(sheet, *_edges(sheet), along)
+    joined = _joined(sheet, edges, length, along)
     near &= ~joined[vertex[:, None], corners].any(axis=1)
     vertex, corners = vertex[near], corners[near]
     distance, _ = closest_on_triangles(sheet.vertices[vertex], sheet.vertices[corners])
