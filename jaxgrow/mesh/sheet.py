@@ -77,8 +77,9 @@ class Sheet:
 
     def self_intersections(self) -> Int[np.ndarray, "p 2"]:
         """Pairs of faces, one of them of the surface, that meet where they must not."""
-        pairs = np.concatenate(intersecting_pairs(self.vertices, self.faces))
-        return pairs[(pairs < self.n_faces).any(axis=1)]
+        return np.concatenate(
+            intersecting_pairs(self.vertices, self.faces, self.n_faces)
+        )
 
 
 def join(
