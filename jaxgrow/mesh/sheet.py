@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -45,16 +46,27 @@ class Walls:
         """Faces that may be within a distance of some point."""
         if not len(self.faces) or not len(points):
             return np.zeros(0, dtype=np.int64)
-        corners = self.vertices[self.faces]
+        if kernels.serve(points):
+            from jaxgrow.kernels import walls as loops
+
+            return loops.near(*self._bounds, points, distance)
+        lowest, highest, centre, radius = self._bounds
         low, high = points.min(axis=0) - distance, points.max(axis=0) + distance
-        box = np.all(corners.max(axis=1) >= low, axis=1)
-        box &= np.all(corners.min(axis=1) <= high, axis=1)
+        box = np.all(highest >= low, axis=1) & np.all(lowest <= high, axis=1)
         candidates = np.flatnonzero(box)
-        corners = corners[candidates]
+        nearest, _ = KDTree(points).query(centre[candidates])
+        return candidates[nearest <= distance + radius[candidates]]
+
+    @cached_property
+    def _bounds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Corners of each face's box, its centre, and the radius of its sphere there.
+
+        Made once, as walls do not move.
+        """
+        corners = self.vertices[self.faces]
         centre = corners.mean(axis=1)
         radius = lengths(corners - centre[:, None]).max(axis=1)
-        nearest, _ = KDTree(points).query(centre)
-        return candidates[nearest <= distance + radius]
+        return corners.min(axis=1), corners.max(axis=1), centre, radius
 
 
 @dataclass(frozen=True, eq=False)
