@@ -10,9 +10,10 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
+from jaxgrow import kernels
 from jaxgrow.collisions import CollisionFinder
 from jaxgrow.energy.a2 import CUTOFF
 from jaxgrow.equilibrium.problem import LARGEST_STEP, Lists
@@ -125,6 +126,16 @@ def adapt_tissue_and_surface(
         mended[name] = mended.get(name, 0) + 1
 
 
+def _alone(points: Float[np.ndarray, "n 3"]) -> int:
+    """Number of particles, two at least, without a neighbour that they feel."""
+    if kernels.serve(points):
+        from jaxgrow.kernels import company as loops
+
+        return loops.alone(points, CUTOFF)
+    distance, _ = KDTree(points).query(points, k=2)
+    return int(np.count_nonzero(distance[:, 1] >= CUTOFF))
+
+
 JUMP, LEAST_JUMP = 1.2, 0.25
 """Factor of its radius of gyration, and at least so many r0, by which no relaxation
 after a division enlarges the whole."""
@@ -143,8 +154,7 @@ def _flew_apart(before: Particles, after: Particles) -> bool:
         count = len(points)
         if count < 2:
             return False
-        distance, _ = KDTree(points).query(points, k=2)
-        alone.append(int(np.count_nonzero(distance[:, 1] >= CUTOFF)))
+        alone.append(_alone(points))
         radius.append(float(np.sqrt(points.var(axis=0).sum())))
     lost = alone[1] > alone[0] + 0.02 * count
     return lost or radius[1] > max(JUMP * radius[0], radius[0] + LEAST_JUMP)

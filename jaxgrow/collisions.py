@@ -9,8 +9,15 @@ from jaxtyping import Array, Float, Int
 from jaxgrow.capacity import capacity_for
 from jaxgrow.energy.collision import Collisions, LOCAL
 from jaxgrow.equilibrium.problem import LEAST_LISTED
-from jaxgrow.mesh.proximity import closest_on_segments, closest_on_triangles
-from jaxgrow.mesh.sheet import Encounters, encounters, join, nearest_apart, Sheet, Walls
+from jaxgrow.mesh.sheet import (
+    distances_of,
+    Encounters,
+    encounters,
+    join,
+    nearest_apart,
+    Sheet,
+    Walls,
+)
 from jaxgrow.mesh.surface import Surface
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Membrane
@@ -124,20 +131,21 @@ class CollisionFinder:
             return np.where(index < n, index, index - n + slots)
 
         def put(array: np.ndarray, capacity: int, value: float = 0) -> Array:
+            if array.dtype.kind == "f":
+                array = array.astype(vertices.dtype)
             return jnp.asarray(padded(array, capacity, value))
 
         vertex_margin, edge_margin = self._margins(sheet, found)
-        dtype = vertices.dtype
         return Collisions(
-            still=put(still, n_still, 1e6).astype(dtype),
+            still=put(still, n_still, 1e6),
             vertex=put(slot(found.vertex), n_vertex, slots + n_still - 1),
             corners=put(slot(found.corners), n_vertex),
             apart=put(found.vertex_apart, n_vertex),
-            vertex_margin=put(vertex_margin, n_vertex).astype(dtype),
+            vertex_margin=put(vertex_margin, n_vertex),
             edges=put(slot(found.edges), n_edge),
-            edge_margin=put(edge_margin, n_edge).astype(dtype),
+            edge_margin=put(edge_margin, n_edge),
             reference=vertices,
-            skin=jnp.asarray(SKIN, dtype),
+            skin=jnp.asarray(SKIN, vertices.dtype),
             stale=jnp.zeros((), bool),
             full=jnp.zeros((), bool),
         )
@@ -148,9 +156,7 @@ class CollisionFinder:
         """Where the barrier of each pair sets in, in collision ranges."""
         rest = sheet.vertices.copy()
         rest[: sheet.n_surface] = self.rest.vertices
-        vertex, _ = closest_on_triangles(rest[found.vertex], rest[found.corners])
-        ends = rest[found.edges]
-        edge, _, _ = closest_on_segments(ends[:, :2], ends[:, 2:])
+        vertex, edge = distances_of(rest, found)
         margins = []
         for distance, apart in (
             (vertex, found.vertex_apart),

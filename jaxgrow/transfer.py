@@ -12,6 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxgrow.capacity import capacity_for
@@ -26,8 +27,13 @@ MembraneOrNone = TypeVar("MembraneOrNone", bound=Membrane | None)
 
 
 def get(array: Array) -> np.ndarray:
-    """Values on the host, cut off from any derivative."""
-    return np.asarray(jax.lax.stop_gradient(array))
+    """Values on the host, cut off from any derivative.
+
+    Of an array that nobody traces there is nothing to cut off.
+    """
+    if isinstance(array, Tracer):
+        array = jax.lax.stop_gradient(array)
+    return np.asarray(array)
 
 
 def get_number(value: Scalar) -> float:
@@ -37,8 +43,9 @@ def get_number(value: Scalar) -> float:
 
 def padded(array: np.ndarray, capacity: int, value: float = 0) -> np.ndarray:
     """The array with rows of a value (zeros, False) behind it."""
-    rows = [(0, capacity - len(array))] + [(0, 0)] * (array.ndim - 1)
-    return np.pad(array, rows, constant_values=value)
+    filled = np.full((capacity, *array.shape[1:]), value, array.dtype)
+    filled[: len(array)] = array
+    return filled
 
 
 def put_particles(
@@ -184,7 +191,7 @@ def _at_rest(vertices: Float[Array, "m 3"], mesh: Surface | Remeshing) -> Membra
         vertices=vertices,
         faces=jnp.asarray(padded(mesh.faces, 2 * capacity)),
         edges=jnp.asarray(padded(edges, 3 * capacity)),
-        rest_length=jnp.zeros(3 * capacity, vertices.dtype),
+        rest_length=jnp.asarray(np.zeros(3 * capacity, vertices.dtype)),
         vertex_alive=jnp.asarray(np.arange(capacity) < len(mesh.fixed)),
         face_alive=jnp.asarray(np.arange(2 * capacity) < faces),
         edge_alive=jnp.asarray(np.arange(3 * capacity) < len(edges)),

@@ -14,6 +14,8 @@ from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
+
 
 SWITCH = "JAXGROW_KERNELS"
 """Environment variable that, set to ``off``, leaves everything to XLA and NumPy."""
@@ -27,6 +29,11 @@ def wanted() -> bool:
     with suppress(OSError):  # a folder that nobody may write to
         forget_others(Path(__file__).parent)
     return True
+
+
+def serve(array: np.ndarray) -> bool:
+    """Whether loops may be used on an array of the host: they know 64 bits."""
+    return wanted() and array.dtype == np.float64
 
 
 def forget_others(folder: Path) -> bool:

@@ -18,6 +18,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
+from jaxgrow import kernels
+
 
 TOUCH = 1e-10
 """Gap, relative to the largest extent of a pair, below which it counts as meeting."""
@@ -26,18 +28,41 @@ _CHUNK = 200_000
 
 
 def intersecting_pairs(
-    vertices: Float[np.ndarray, "m 3"], faces: Int[np.ndarray, "f 3"]
+    vertices: Float[np.ndarray, "m 3"],
+    faces: Int[np.ndarray, "f 3"],
+    first: int | None = None,
 ) -> tuple[Int[np.ndarray, "p 2"], Int[np.ndarray, "q 2"]]:
     """All pairs of faces that intersect other than in a shared vertex or side.
 
     Args:
         vertices: Positions, finite.
         faces: Faces.
+        first: Number of faces of which one is in every pair; None for all pairs.
 
     Returns:
         Pairs that share no vertex, and pairs that share exactly one; smaller face index
-        first.
+        first, in ascending order.
     """
+    first = len(faces) if first is None else first
+    if kernels.serve(vertices):
+        from jaxgrow.kernels import meeting as loops
+
+        apart, corner = loops.intersecting(vertices, faces, first)
+    else:
+        apart, corner = _intersecting(vertices, faces)
+        apart, corner = apart[apart[:, 0] < first], corner[corner[:, 0] < first]
+    return _in_order(apart), _in_order(corner)
+
+
+def _in_order(pairs: Int[np.ndarray, "p 2"]) -> Int[np.ndarray, "p 2"]:
+    """The same, ascending."""
+    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))] if len(pairs) > 1 else pairs
+
+
+def _intersecting(
+    vertices: Float[np.ndarray, "m 3"], faces: Int[np.ndarray, "f 3"]
+) -> tuple[Int[np.ndarray, "p 2"], Int[np.ndarray, "q 2"]]:
+    """The same as `intersecting_pairs` without loops, of all faces, in no order."""
     triangles = vertices[faces]
     low, high = triangles.min(axis=1), triangles.max(axis=1)
     apart: list[Int[np.ndarray, "_ 2"]] = [np.zeros((0, 2), dtype=np.int64)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from itertools import chain
 from typing import NamedTuple
 
@@ -9,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
+from jaxgrow import kernels
 from jaxgrow.mesh.quality import area_vectors, lengths, unit
 
 
@@ -134,11 +136,12 @@ class Nearest(NamedTuple):
 class Proximity:
     """A mesh made ready to be asked for its nearest points again and again.
 
-    Triangles are sorted into classes of like size. In each class the triangles with
-    the nearest centres give an upper bound d, and of those whose centre is within d
-    plus the class's radius every one is measured whose disc is within d: from a point
-    far away many spheres around triangles are as near as the nearest triangle, but
-    few discs are. Nothing nearer can be missed.
+    Loops ask a tree of boxes, see `jaxgrow.kernels.nearest`. Without them triangles are
+    sorted into classes of like size. In each class the triangles with the nearest
+    centres give an upper bound d, and of those whose centre is within d plus the
+    class's radius every one is measured whose disc is within d: from a point far away
+    many spheres around triangles are as near as the nearest triangle, but few discs
+    are. Nothing nearer can be missed.
     """
 
     def __init__(
@@ -157,26 +160,64 @@ class Proximity:
             raise ValueError(
                 "the mesh has no face; a distance to nothing is undefined."
             )
-        self._triangles = vertices[faces]
-        self._discs = _discs(self._triangles)
+        self._vertices, self._faces, self._tree = vertices, faces, None
+        if kernels.serve(vertices):
+            from jaxgrow.kernels import nearest as loops
+
+            self._tree = loops.plant(vertices, faces)
+
+    @cached_property
+    def _triangles(self) -> Float[np.ndarray, "f 3 3"]:
+        return self._vertices[self._faces]
+
+    @cached_property
+    def _discs(self) -> _Discs:
+        return _discs(self._triangles)
+
+    @cached_property
+    def _classes(self) -> list[tuple[Int[np.ndarray, " c"], KDTree, float]]:
+        """Triangles of like size, a tree of their centres, and their largest radius."""
         radius = self._discs.radius
         sizes = np.ceil(np.log2(np.maximum(radius, radius.max() * 1e-6 + 1e-300)))
-        self._classes = [
+        return [
             (members, KDTree(self._discs.centre[members]), radius[members].max())
             for members in (np.flatnonzero(sizes == size) for size in np.unique(sizes))
         ]
 
     def nearest(self, points: Float[np.ndarray, "n 3"]) -> Nearest:
         """Distances, faces and closest points, in the mesh's unit of length."""
+        distance, face, weights = self.feet(points)
+        return Nearest(distance, face, self.at(face, weights))
+
+    def at(
+        self, face: Int[np.ndarray, " n"], weights: Float[np.ndarray, "n 3"]
+    ) -> Float[np.ndarray, "n 3"]:
+        """Points on faces, by the weights of the corners."""
+        return np.einsum("nk,nki->ni", weights, self._vertices[self._faces[face]])
+
+    def feet(
+        self, points: Float[np.ndarray, "n 3"]
+    ) -> tuple[
+        Float[np.ndarray, " n"], Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]
+    ]:
+        """Distances, faces, and the weights of their corners in the closest points."""
+        if kernels.serve(points) and self._tree is not None:
+            from jaxgrow.kernels import nearest as loops
+
+            return loops.find(points, self._vertices, self._faces, *self._tree)
         parts = [
-            self._nearest(points[begin : begin + _AT_ONCE])
+            self._feet(points[begin : begin + _AT_ONCE])
             for begin in range(0, max(len(points), 1), _AT_ONCE)
         ]
-        return Nearest(
-            *(np.concatenate(columns) for columns in zip(*parts, strict=True))
-        )
+        distance, face, weights = map(np.concatenate, zip(*parts, strict=True))
+        return distance, face, weights
 
-    def _nearest(self, points: Float[np.ndarray, "n 3"]) -> Nearest:
+    def _feet(
+        self, points: Float[np.ndarray, "n 3"]
+    ) -> tuple[
+        Float[np.ndarray, " n"], Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]
+    ]:
+        """The same of some points without loops."""
         best = np.full(len(points), np.inf)
         face = np.zeros(len(points), dtype=np.int64)
         weights = np.zeros((len(points), 3))
@@ -204,8 +245,7 @@ class Proximity:
             tried = members[flat]
             keep = self._discs.within(points[rows], tried, best[rows])
             measure(rows[keep], tried[keep])
-        closest = np.einsum("nk,nki->ni", weights, self._triangles[face])
-        return Nearest(best, face, closest)
+        return best, face, weights
 
 
 def nearest_on_mesh(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -17,6 +18,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 
+from jaxgrow import kernels
 from jaxgrow.mesh.intersection import intersecting_pairs
 from jaxgrow.mesh.proximity import closest_on_segments, closest_on_triangles
 from jaxgrow.mesh.quality import lengths
@@ -44,16 +46,27 @@ class Walls:
         """Faces that may be within a distance of some point."""
         if not len(self.faces) or not len(points):
             return np.zeros(0, dtype=np.int64)
-        corners = self.vertices[self.faces]
+        if kernels.serve(points):
+            from jaxgrow.kernels import walls as loops
+
+            return loops.near(*self._bounds, points, distance)
+        lowest, highest, centre, radius = self._bounds
         low, high = points.min(axis=0) - distance, points.max(axis=0) + distance
-        box = np.all(corners.max(axis=1) >= low, axis=1)
-        box &= np.all(corners.min(axis=1) <= high, axis=1)
+        box = np.all(highest >= low, axis=1) & np.all(lowest <= high, axis=1)
         candidates = np.flatnonzero(box)
-        corners = corners[candidates]
+        nearest, _ = KDTree(points).query(centre[candidates])
+        return candidates[nearest <= distance + radius[candidates]]
+
+    @cached_property
+    def _bounds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Corners of each face's box, its centre, and the radius of its sphere there.
+
+        Made once, as walls do not move.
+        """
+        corners = self.vertices[self.faces]
         centre = corners.mean(axis=1)
         radius = lengths(corners - centre[:, None]).max(axis=1)
-        nearest, _ = KDTree(points).query(centre)
-        return candidates[nearest <= distance + radius]
+        return corners.min(axis=1), corners.max(axis=1), centre, radius
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +89,9 @@ class Sheet:
 
     def self_intersections(self) -> Int[np.ndarray, "p 2"]:
         """Pairs of faces, one of them of the surface, that meet where they must not."""
-        pairs = np.concatenate(intersecting_pairs(self.vertices, self.faces))
-        return pairs[(pairs < self.n_faces).any(axis=1)]
+        return np.concatenate(
+            intersecting_pairs(self.vertices, self.faces, self.n_faces)
+        )
 
 
 def join(
@@ -160,6 +174,8 @@ def encounters(sheet: Sheet, *, apart: float, local: float, along: float) -> Enc
         All pairs, by exact distance.
     """
     edges, length = _edges(sheet)
+    if kernels.serve(sheet.vertices):
+        return _by_loops(sheet, edges, length, apart, local, along)
     joined = _joined(sheet, edges, length, along)
     reach = max(apart, local)
 
@@ -200,6 +216,58 @@ def encounters(sheet: Sheet, *, apart: float, local: float, along: float) -> Enc
     )
 
 
+def _by_loops(
+    sheet: Sheet,
+    edges: Int[np.ndarray, "e 2"],
+    length: Float[np.ndarray, " e"],
+    apart: float,
+    local: float,
+    along: float,
+) -> Encounters:
+    """The same as `encounters` by loops."""
+    from jaxgrow.kernels import encounters as loops
+
+    vertices, moving = sheet.vertices, sheet.moving
+    first, reached = loops.joined(edges, length, len(vertices), along)
+    vertex, face, distance, far = loops.vertices_and_faces(
+        vertices, sheet.faces, moving, first, reached, apart, local
+    )
+    rank = np.zeros(len(edges), dtype=np.int64)
+    rank[np.argsort(length, kind="stable")] = np.arange(len(edges))
+    one, other, between, edge_far = loops.pairs_of_edges(
+        vertices, edges, rank, moving, first, reached, apart, local
+    )
+    order = np.argsort(rank[one] * len(rank) + rank[other])
+    return Encounters(
+        vertex=vertex,
+        corners=sheet.faces[face],
+        vertex_distance=distance,
+        vertex_apart=far,
+        edges=np.concatenate([edges[one[order]], edges[other[order]]], axis=1),
+        edge_distance=between[order],
+        edge_apart=edge_far[order],
+    )
+
+
+def distances_of(
+    vertices: Float[np.ndarray, "m 3"], found: Encounters
+) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " q"]]:
+    """Exact distances of the pairs where the sheet's vertices are elsewhere.
+
+    Args:
+        vertices: Positions.
+        found: Pairs of vertices with triangles, and of edges.
+    """
+    if kernels.serve(vertices):
+        from jaxgrow.kernels import distances as loops
+
+        return loops.of_pairs(vertices, found.vertex, found.corners, found.edges)
+    corners, ends = vertices[found.corners], vertices[found.edges]
+    to_triangle, _ = closest_on_triangles(vertices[found.vertex], corners)
+    between, _, _ = closest_on_segments(ends[:, :2], ends[:, 2:])
+    return to_triangle, between
+
+
 def nearest_apart(sheet: Sheet, *, within: float, along: float) -> float:
     """Smallest distance of a vertex to a triangle that is apart from it.
 
@@ -211,10 +279,19 @@ def nearest_apart(sheet: Sheet, *, within: float, along: float) -> float:
     Returns:
         The distance, infinite if there is none up to ``within``.
     """
+    edges, length = _edges(sheet)
+    if kernels.serve(sheet.vertices):
+        from jaxgrow.kernels import encounters as loops
+
+        joined = loops.joined(edges, length, len(sheet.vertices), along)
+        _, _, distance, _ = loops.vertices_and_faces(
+            sheet.vertices, sheet.faces, sheet.moving, *joined, within, -1.0
+        )
+        return float(distance.min(initial=np.inf))
     vertex, face = _vertex_face_candidates(sheet, within)
     corners = sheet.faces[face]
     near = sheet.moving[vertex] | sheet.moving[corners].any(axis=1)
-    joined = _joined(sheet, *_edges(sheet), along)
+    joined = _joined(sheet, edges, length, along)
     near &= ~joined[vertex[:, None], corners].any(axis=1)
     vertex, corners = vertex[near], corners[near]
     distance, _ = closest_on_triangles(sheet.vertices[vertex], sheet.vertices[corners])

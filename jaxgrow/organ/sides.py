@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxgrow.mesh.proximity import closest_on_triangles, Proximity
+from jaxgrow.mesh.proximity import Proximity
 from jaxgrow.mesh.quality import area_vectors, lengths, unit
 from jaxgrow.mesh.topology import build_topology
 
@@ -71,8 +71,8 @@ class Sides:
         """Distance, side and nearest triangle of each point."""
         if not len(points):
             return Measured(np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64))
-        distance, face, closest = self._proximity.nearest(points)
-        weights = closest_on_triangles(points, self.vertices[self.faces[face]])[1]
+        distance, face, weights = self._proximity.feet(points)
+        closest = self._proximity.at(face, weights)
         normal = self.face_normals[face]
         absent = weights == 0
         on_edge = absent.sum(axis=1) == 1

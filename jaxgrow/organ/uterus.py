@@ -11,8 +11,10 @@ at the origin.
 Every dimension below is measured on the mesh by the tests.
 """
 
+import functools
+
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jaxgrow.organ.implicit import project, round_cone, smooth_union
 from jaxgrow.organ.organ import Organ, OrganError
@@ -123,11 +125,20 @@ def uterus(edge_mm: float = 1.0) -> Organ:
             f"mm, not {edge_mm:g} mm: choose one in this range."
         )
         raise OrganError(msg)
+    vertices, faces = _tessellated(edge_mm)
+    sites = dict(zip(_SITES, vertices[: len(_SITES)].copy(), strict=True))
+    # the caller may change what it gets
+    return Organ("uterus", vertices.copy(), faces.copy(), "outside", sites)
+
+
+@functools.lru_cache(maxsize=4)
+def _tessellated(
+    edge_mm: float,
+) -> tuple[Float[np.ndarray, "m 3"], Int[np.ndarray, "f 3"]]:
+    """Vertices, first of them the sites, and faces; made once in a process."""
     low = np.array([-18.0, -10.0, -28.0])
     high = np.array([18.0, 10.0, 35.0])
     pinned = project(cavity, np.array(list(_SITES.values())), step=1e-4, iterations=8)
     # a fixed seed: the built-in organ is one organ, not a random one
     rng = np.random.default_rng(0)
-    vertices, faces = tessellate(cavity, low, high, edge_mm, rng, pinned)
-    sites = dict(zip(_SITES, vertices[: len(pinned)], strict=True))
-    return Organ("uterus", vertices, faces, "outside", sites)
+    return tessellate(cavity, low, high, edge_mm, rng, pinned)

@@ -117,10 +117,10 @@ def test_distances_are_those_of_the_pairs():
     found = encounters(sheet, apart=0.9, local=0.6, along=1.5)
     corners = sheet.vertices[found.corners]
     wanted, _ = closest_on_triangles(sheet.vertices[found.vertex], corners)
-    np.testing.assert_array_equal(found.vertex_distance, wanted)
+    np.testing.assert_allclose(found.vertex_distance, wanted, rtol=1e-12)
     ends = sheet.vertices[found.edges]
     wanted, _, _ = closest_on_segments(ends[:, :2], ends[:, 2:])
-    np.testing.assert_array_equal(found.edge_distance, wanted)
+    np.testing.assert_allclose(found.edge_distance, wanted, rtol=1e-12)
 
 
 def patch_and_walls():

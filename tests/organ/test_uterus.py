@@ -5,6 +5,7 @@ import trimesh
 from jaxgrow.mesh.quality import radius_ratio, side_lengths
 from jaxgrow.organ import locate_site, OrganError, room, uterus as build
 from jaxgrow.organ.uterus import (
+    _tessellated,
     CANAL_LENGTH_MM,
     cavity,
     CAVITY_LENGTH_MM,
@@ -143,10 +144,22 @@ def test_triangles_follow_the_edge_length(edge_mm):
     assert radius_ratio(triangles).min() > 0.3
 
 
-def test_the_same_call_gives_the_same_mesh(womb):
+def test_the_same_tessellation_gives_the_same_mesh(womb):
+    vertices, faces = _tessellated.__wrapped__(1.0)
+    np.testing.assert_array_equal(vertices, womb.vertices)
+    np.testing.assert_array_equal(faces, womb.faces)
+
+
+def test_what_is_done_to_one_uterus_is_not_done_to_the_next(womb):
+    changed = build()
+    changed.vertices[:] = 0
+    changed.faces[:] = 0
+    changed.sites["fundus"][:] = 0
     again = build()
     np.testing.assert_array_equal(again.vertices, womb.vertices)
     np.testing.assert_array_equal(again.faces, womb.faces)
+    np.testing.assert_array_equal(again.sites["fundus"], womb.sites["fundus"])
+    assert again.sites["fundus"].any()
 
 
 def test_the_cavity_is_symmetric(womb):

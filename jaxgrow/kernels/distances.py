@@ -1,0 +1,145 @@
+"""Exact distances of one pair, as in `jaxgrow.mesh.proximity`, for compiled loops.
+
+As in `jaxgrow.kernels.frames`, changes here are not noticed by loops kept on disk.
+"""
+
+import math
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+
+_PARALLEL = 64 * np.finfo(np.float64).eps
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def _share(along: float, square: float) -> float:
+    """Where on a segment, from 0 to 1, a point is nearest."""
+    return min(max(along / (square if square > 0.0 else 1.0), 0.0), 1.0)
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def _to_side(
+    px: float, py: float, pz: float, sx: float, sy: float, sz: float
+) -> tuple[float, float]:
+    """Squared distance of a point to the segment from 0 to s, and where on it."""
+    square = sx * sx + sy * sy + sz * sz
+    t = _share(px * sx + py * sy + pz * sz, square)
+    gx, gy, gz = px - t * sx, py - t * sy, pz - t * sz
+    return gx * gx + gy * gy + gz * gz, t
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def to_triangle(
+    points: np.ndarray, i: int, vertices: np.ndarray, a: int, b: int, c: int
+) -> tuple[float, float, float, float]:
+    """Distance of point i to a triangle, and the weights of a, b and c at its foot.
+
+    See `jaxgrow.mesh.proximity.closest_on_triangles`.
+    """
+    ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
+    bx, by, bz = vertices[b, 0], vertices[b, 1], vertices[b, 2]
+    cx, cy, cz = vertices[c, 0], vertices[c, 1], vertices[c, 2]
+    x, y, z = points[i, 0], points[i, 1], points[i, 2]
+    px, py, pz = x - ax, y - ay, z - az
+    qx, qy, qz = x - bx, y - by, z - bz
+    rx, ry, rz = x - cx, y - cy, z - cz
+    ux, uy, uz = bx - ax, by - ay, bz - az
+    wx, wy, wz = cx - ax, cy - ay, cz - az
+
+    best, t = _to_side(px, py, pz, ux, uy, uz)
+    at_a, at_b, at_c = 1.0 - t, t, 0.0
+    other, t = _to_side(qx, qy, qz, cx - bx, cy - by, cz - bz)
+    if other < best:
+        best, at_a, at_b, at_c = other, 0.0, 1.0 - t, t
+    other, t = _to_side(rx, ry, rz, -wx, -wy, -wz)
+    if other < best:
+        best, at_a, at_b, at_c = other, t, 0.0, 1.0 - t
+
+    nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
+    square = nx * nx + ny * ny + nz * nz
+    if square > 0.0:
+        # areas of the triangles over the sides, seen from the foot
+        of_a = nx * (qy * rz - qz * ry) + ny * (qz * rx - qx * rz)
+        of_a += nz * (qx * ry - qy * rx)
+        of_b = nx * (ry * pz - rz * py) + ny * (rz * px - rx * pz)
+        of_b += nz * (rx * py - ry * px)
+        of_c = nx * (py * qz - pz * qy) + ny * (pz * qx - px * qz)
+        of_c += nz * (px * qy - py * qx)
+        if of_a > 0.0 and of_b > 0.0 and of_c > 0.0:
+            height = (px * nx + py * ny + pz * nz) / math.sqrt(square)
+            if height * height <= best:
+                total = of_a + of_b + of_c
+                return abs(height), of_a / total, of_b / total, of_c / total
+    return math.sqrt(best), at_a, at_b, at_c
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def between(vertices: np.ndarray, a: int, b: int, c: int, d: int) -> float:
+    """Distance of the segments from a to b and from c to d.
+
+    See `jaxgrow.mesh.proximity.closest_on_segments`.
+    """
+    ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
+    cx, cy, cz = vertices[c, 0], vertices[c, 1], vertices[c, 2]
+    ux, uy, uz = vertices[b, 0] - ax, vertices[b, 1] - ay, vertices[b, 2] - az
+    wx, wy, wz = vertices[d, 0] - cx, vertices[d, 1] - cy, vertices[d, 2] - cz
+    gx, gy, gz = cx - ax, cy - ay, cz - az
+    square = ux * ux + uy * uy + uz * uz
+    along = ux * wx + uy * wy + uz * wz
+    square_other = wx * wx + wy * wy + wz * wz
+    on_one = ux * gx + uy * gy + uz * gz
+    on_other = wx * gx + wy * gy + wz * gz
+    determinant = square * square_other - along * along
+
+    best = np.inf
+    if determinant > _PARALLEL * square * square_other:
+        s = (on_one * square_other - on_other * along) / determinant
+        t = (on_one * along - on_other * square) / determinant
+        if 0.0 < s < 1.0 and 0.0 < t < 1.0:
+            x, y, z = (
+                gx + t * wx - s * ux,
+                gy + t * wy - s * uy,
+                gz + t * wz - s * uz,
+            )
+            best = x * x + y * y + z * z
+    for end in range(4):
+        if end == 0:
+            s, t = 0.0, _share(-on_other, square_other)
+        elif end == 1:
+            s, t = 1.0, _share(along - on_other, square_other)
+        elif end == 2:
+            s, t = _share(on_one, square), 0.0
+        else:
+            s, t = _share(on_one + along, square), 1.0
+        x, y, z = gx + t * wx - s * ux, gy + t * wy - s * uy, gz + t * wz - s * uz
+        best = min(best, x * x + y * y + z * z)
+    return math.sqrt(best)
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def of_pairs(
+    vertices: np.ndarray, vertex: np.ndarray, corners: np.ndarray, edges: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distances of vertices to triangles, and of edges to edges.
+
+    Args:
+        vertices: positions.
+        vertex: of each pair of a vertex and a triangle.
+        corners: of its triangle.
+        edges: the four ends of each pair of edges.
+    """
+    to_triangles, to_edges = np.zeros(len(vertex)), np.zeros(len(edges))
+    for i in range(len(vertex)):
+        a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
+        to_triangles[i] = to_triangle(vertices, vertex[i], vertices, a, b, c)[0]
+    for i in range(len(edges)):
+        a, b, c, d = edges[i, 0], edges[i, 1], edges[i, 2], edges[i, 3]
+        to_edges[i] = between(vertices, a, b, c, d)
+    return to_triangles, to_edges

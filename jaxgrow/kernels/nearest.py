@@ -1,0 +1,142 @@
+"""The loops that ask a tree of boxes for the triangle of a mesh nearest to a point.
+
+`jaxgrow.mesh.proximity.Proximity` uses them.
+"""
+
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+from jaxgrow.kernels import distances
+
+
+LEAF = 4
+"""Triangles of a leaf at most."""
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def plant(
+    vertices: np.ndarray, faces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A tree of boxes, each node halved at the median of its triangles' centres.
+
+    Args:
+        vertices: of the mesh.
+        faces: of the mesh.
+
+    Returns:
+        The faces in the order of the leaves; for each node where its faces begin and
+        end and which of the nodes is its first child (the second is the next one; 0:
+        none); and its box, lowest corner first.
+    """
+    count = len(faces)
+    centre = np.zeros((count, 3))
+    for f in range(count):
+        for k in range(3):
+            for corner in range(3):
+                centre[f, k] += vertices[faces[f, corner], k]
+    order = np.arange(count)
+    nodes, boxes = np.zeros((2 * count + 1, 3), np.int64), np.zeros((2 * count + 1, 6))
+    nodes[0, 1] = count
+    used, node = 1, 0
+    while node < used:
+        begin, end = nodes[node, 0], nodes[node, 1]
+        _box(vertices, faces, order[begin:end], boxes[node])
+        if end - begin > LEAF:
+            widest, most = 0, -1.0
+            for k in range(3):
+                if boxes[node, 3 + k] - boxes[node, k] > most:
+                    widest, most = k, boxes[node, 3 + k] - boxes[node, k]
+            part = order[begin:end].copy()
+            along = np.argsort(centre[part, widest], kind="mergesort")
+            order[begin:end] = part[along]
+            middle = (begin + end) // 2
+            nodes[node, 2] = used
+            nodes[used, 0], nodes[used, 1] = begin, middle
+            nodes[used + 1, 0], nodes[used + 1, 1] = middle, end
+            used += 2
+        node += 1
+    return order, nodes[:used], boxes[:used]
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def _box(
+    vertices: np.ndarray, faces: np.ndarray, chosen: np.ndarray, box: np.ndarray
+) -> None:
+    """Write the box of some faces."""
+    for k in range(3):
+        low, high = np.inf, -np.inf
+        for f in chosen:
+            for corner in range(3):
+                x = vertices[faces[f, corner], k]
+                low, high = min(low, x), max(high, x)
+        box[k], box[3 + k] = low, high
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def _to_box(box: np.ndarray, x: float, y: float, z: float) -> float:
+    """Squared distance of a point to a box, rounded down."""
+    dx = max(box[0] - x, x - box[3], 0.0)
+    dy = max(box[1] - y, y - box[4], 0.0)
+    dz = max(box[2] - z, z - box[5], 0.0)
+    return (dx * dx + dy * dy + dz * dz) * (1.0 - 1e-12)
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def find(
+    points: np.ndarray,
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    order: np.ndarray,
+    nodes: np.ndarray,
+    boxes: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Distance of each point, the face where it is reached, and the weights there.
+
+    Args:
+        points: positions.
+        vertices: of the mesh.
+        faces: of the mesh.
+        order: see `plant`; so are the others.
+        nodes: as there.
+        boxes: as there.
+    """
+    count = len(points)
+    distance, face = np.full(count, np.inf), np.zeros(count, np.int64)
+    weights = np.zeros((count, 3))
+    waiting, gap = np.zeros(128, np.int64), np.zeros(128)
+    for i in range(count):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        best = np.inf
+        waiting[0], gap[0], last = 0, _to_box(boxes[0], x, y, z), 1
+        while last > 0:
+            last -= 1
+            node = waiting[last]
+            if gap[last] > best * best:
+                continue
+            child = nodes[node, 2]
+            if child == 0:
+                for at in range(nodes[node, 0], nodes[node, 1]):
+                    f = order[at]
+                    a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+                    d, u, v, w = distances.to_triangle(points, i, vertices, a, b, c)
+                    # of equally near ones the first, whatever the order of the leaves
+                    if d < best or (d == best and f < face[i]):
+                        best, face[i] = d, f
+                        weights[i, 0], weights[i, 1], weights[i, 2] = u, v, w
+                continue
+            near, far = child, child + 1
+            to_near = _to_box(boxes[near], x, y, z)
+            to_far = _to_box(boxes[far], x, y, z)
+            if to_far < to_near:
+                near, far, to_near, to_far = far, near, to_far, to_near
+            waiting[last], gap[last] = far, to_far
+            waiting[last + 1], gap[last + 1] = near, to_near
+            last += 2
+        distance[i] = best
+    return distance, face, weights
