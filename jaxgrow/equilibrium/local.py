@@ -9,24 +9,34 @@ now, until nothing does. The end is judged as that of every method: by the large
 on any free node.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxgrow.equilibrium.kept import evaluated, renewed
 from jaxgrow.equilibrium.lbfgs import LBFGS
-from jaxgrow.equilibrium.listing import allocate_contacts, allocate_lists, prepared
+from jaxgrow.equilibrium.listing import (
+    allocate_contacts,
+    allocate_lists,
+    prepared,
+    with_contacts,
+)
 from jaxgrow.equilibrium.part import (
-    count_free,
+    able,
     cut,
     enlarged_by,
     MARGIN,
+    Mask,
     none_of,
     Part,
+    Sizes,
 )
 from jaxgrow.equilibrium.problem import Lists, Problem
 from jaxgrow.equilibrium.stages import Found, Limits, run_stage, Stage
-from jaxgrow.neighbors import part_of
+from jaxgrow.neighbors import of_part
 from jaxgrow.numerics import safe_norm
 from jaxgrow.results import Result
 from jaxgrow.state import Nodes
@@ -43,12 +53,51 @@ LARGEST_SHARE = 0.25
 """Of all nodes, beyond which the whole is relaxed instead."""
 
 
+class Judged(NamedTuple):
+    """What everything feels.
+
+    Attributes:
+        force: on every node.
+        size: of it, where it counts.
+        lists: contacts as they were found for it, and the pair forces to be kept; the
+            neighbours of all particles are listed anew only where all are asked for.
+    """
+
+    force: Nodes
+    size: Sizes
+    lists: Lists
+
+
 @eqx.filter_jit
-def _judge(problem: Problem, lists: Lists) -> tuple[Nodes, Nodes]:
-    """The force on every node, and how large it is where it counts."""
-    force = problem.forces(problem.nodes(), lists)
-    size = jax.tree.map(lambda f, on: safe_norm(f) * on[:, 0], force, problem.free())
-    return force, size
+def _but_pairs(problem: Problem, lists: Lists) -> Nodes:
+    """Forces of all terms but that between particles."""
+    return problem.forces(problem.nodes(), Lists(None, lists.contacts))
+
+
+def _judge(problem: Problem, lists: Lists, free: Mask) -> Judged:
+    """The force on every node: of pairs by what is another than when they were kept."""
+    kept = None
+    if problem.particles is None:
+        lists = with_contacts(problem, lists)
+    else:
+        kept = renewed(lists.kept, problem.particles, problem.parameters)
+        if kept is None:
+            lists = prepared(problem, lists, None)
+            assert lists.neighbors is not None
+            listed = lists.neighbors.listed
+            kept = evaluated(problem.particles, listed, problem.parameters)
+        else:
+            lists = with_contacts(problem, lists)
+    if problem.membrane is None:
+        assert kept is not None
+        force = Nodes(kept.force, None)
+    else:
+        force = _but_pairs(problem, lists)
+        if kept is not None:
+            assert force.particles is not None
+            force = Nodes(force.particles + kept.force, force.vertices)
+    lists = Lists(lists.neighbors, lists.contacts, lists.candidates, kept=kept)
+    return Judged(force, Sizes.of(force, free), lists)
 
 
 def may_pay(problem: Problem) -> bool:
@@ -72,15 +121,14 @@ def relax_locally(problem: Problem, lists: Lists, limits: Limits) -> Found:
     within = limits._replace(tolerance=0.5 * limits.tolerance)
     stage = Stage("lbfgs", LBFGS(), within.tolerance)
     moving, steps, rebuilds, overflows = none_of(problem), 0, 0, 0
-    limit = LARGEST_SHARE * count_free(problem)
-    lists = prepared(problem, lists, None)
-    force, size = _judge(problem, lists)
+    free = able(problem)
+    judged = _judge(problem, lists, free)
     while True:
-        residual = max(float(jnp.max(each)) for each in jax.tree.leaves(size))
+        residual = judged.size.largest
         ended = Found(
             problem.nodes(),
-            force,
-            lists,
+            judged.force,
+            judged.lists,
             Result.CONVERGED if residual <= limits.tolerance else Result.STEP_LIMIT,
             residual,
             steps,
@@ -89,31 +137,30 @@ def relax_locally(problem: Problem, lists: Lists, limits: Limits) -> Found:
         )
         if not residual > limits.tolerance:  # NaN too: the whole tells what it is
             return ended
-        enlarged = enlarged_by(problem, moving, size, limits.tolerance, RADIUS)
-        if enlarged.size > limit or enlarged.size == moving.size:
+        large = judged.size.above(limits.tolerance)
+        enlarged = enlarged_by(problem, moving, large, free, RADIUS)
+        if enlarged.size > LARGEST_SHARE * free.size or enlarged.size == moving.size:
             return ended
         moving = enlarged
         part = cut(problem, moving)
         found = run_stage(
-            part.problem, _lists_of(part, lists), stage, within, None, None
+            part.problem, _lists_of(part, judged.lists), stage, within, None, None
         )
         steps, rebuilds = steps + found.steps, rebuilds + found.rebuilds
         overflows += found.overflows
-        whole = part.put(found.nodes, problem.nodes())
         sound = found.result is Result.CONVERGED
-        if not sound or _farthest(whole, problem.nodes()) > MARGIN:
+        if not sound or _farthest(found.nodes, part.problem.nodes()) > MARGIN:
             return ended._replace(steps=steps, rebuilds=rebuilds, overflows=overflows)
-        problem = problem.at(whole)
-        lists = prepared(problem, lists, None)
-        force, size = _judge(problem, lists)
+        problem = problem.at(part.put(found.nodes, problem.nodes()))
+        judged = _judge(problem, judged.lists, free)
 
 
 def _lists_of(part: Part, lists: Lists) -> Lists:
-    """Lists of a part, its neighbours from those of the whole."""
-    if part.problem.particles is None or lists.neighbors is None:
+    """Lists of a part, with room as in those of the whole."""
+    particles = part.problem.particles
+    if particles is None or lists.neighbors is None:
         return allocate_lists(part.problem)
-    position = part.problem.particles.position
-    neighbors = part_of(lists.neighbors, part.particles, position)
+    neighbors = of_part(particles.position, ~particles.free, lists.neighbors)
     return allocate_contacts(part.problem, neighbors)
 
 

@@ -1,12 +1,16 @@
 """Relaxing only what is disturbed: the same end, judged on everything."""
 
+import sys
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxgrow as jg
-from jaxgrow.equilibrium import local
+from jaxgrow import vicinity
+from jaxgrow.equilibrium import kept, local
 from jaxgrow.equilibrium.listing import allocate_lists
 from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.relax import relax
@@ -14,6 +18,9 @@ from jaxgrow.planting import plant
 from jaxgrow.results import Result
 from jaxgrow.state import Species
 from jaxgrow.transfer import put_particles
+
+
+equilibrium = sys.modules["jaxgrow.equilibrium.relax"]  # the name is the function's
 
 
 def residual(particles, membrane=None, load=None):
@@ -31,6 +38,7 @@ def residual(particles, membrane=None, load=None):
 def large_parts(monkeypatch):
     """Parts that would not pay, since what is tested is small."""
     monkeypatch.setattr(local, "LARGEST_SHARE", 0.7)
+    monkeypatch.setattr(kept, "LARGEST_SHARE", 0.7)
 
 
 @pytest.fixture(scope="module")
@@ -121,6 +129,81 @@ def test_forces_are_those_on_everything(ball):
     size = np.linalg.norm(np.asarray(outcome.forces.particles), axis=1)
     np.testing.assert_allclose(size.max(), outcome.stats.residual)
     assert np.count_nonzero(size) > 2900
+
+
+def test_forces_are_evaluated_on_everything_once_and_then_kept(ball, monkeypatch):
+    pytest.importorskip("numba")
+    first = relax(divided(ball, 0), tolerance=1e-2, method="local")
+
+    def never(*_):
+        raise AssertionError("forces on everything are asked for")
+
+    monkeypatch.setattr(local, "evaluated", never)
+    monkeypatch.setattr(local, "prepared", never)
+    start = divided(first.state[0], 40, slot=3001)
+    again = relax(start, tolerance=1e-2, method="local", lists=first.lists)
+    assert again.result is Result.CONVERGED
+    np.testing.assert_allclose(residual(again.state[0]), again.stats.residual)
+    problem = Problem.of(again.state[0], None)
+    wanted = problem.forces(problem.nodes(), allocate_lists(problem)).particles
+    np.testing.assert_allclose(again.forces.particles, wanted, rtol=0, atol=1e-13)
+    # so the lists of all neighbours are those that were given
+    assert again.lists.neighbors is first.lists.neighbors
+
+
+def test_what_was_disturbed_anywhere_since_is_found(ball):
+    first = relax(divided(ball, 0), tolerance=1e-2, method="local")
+    moved = first.state[0].position.at[2990].add(jnp.array([0.2, 0.1, -0.2]))
+    start = eqx.tree_at(lambda p: p.position, first.state[0], moved)
+    assert residual(start) > 1e-2
+    again = relax(start, tolerance=1e-2, method="local", lists=first.lists)
+    assert again.result is Result.CONVERGED
+    assert residual(again.state[0]) <= 1e-2
+
+
+def test_lists_may_be_used_again_and_by_other_methods(ball):
+    start = divided(ball, 0)
+    first = relax(start, tolerance=1e-2, method="local")
+    ends = [
+        relax(start, tolerance=1e-2, method=method, lists=first.lists)
+        for method in ("local", "lbfgs")
+    ]
+    assert all(residual(end.state[0]) <= 1e-2 for end in ends)
+    np.testing.assert_allclose(
+        ends[0].state[0].position, first.state[0].position, rtol=0, atol=1e-9
+    )
+
+
+def test_without_loops_it_comes_to_the_same(ball, monkeypatch):
+    pytest.importorskip("numba")
+    start = divided(ball, 0)
+    ends = [relax(start, tolerance=1e-2, method="local").state[0].position]
+    for module in (vicinity, kept):
+        monkeypatch.setattr(module, "loops", lambda _: None)
+    ends.append(relax(start, tolerance=1e-2, method="local").state[0].position)
+    np.testing.assert_allclose(*ends, rtol=0, atol=1e-9)
+
+
+def test_a_derivative_is_taken_with_lists_of_where_it_ended(ball, monkeypatch):
+    far = eqx.tree_at(lambda p: p.position, ball, 1.5 * ball.position)
+    given = []
+
+    def told(problem, nodes, lists, *, valid):
+        given.append((problem, nodes, lists))
+        return nodes
+
+    monkeypatch.setattr(equilibrium, "at_equilibrium", told)
+    monkeypatch.setattr(equilibrium, "exact_tolerance", lambda _: 1e-2)
+    lists = relax(far, tolerance=1e3, method="local").lists
+
+    def height(adhesion):
+        parameters = jg.Parameters(adhesion=adhesion)
+        end = relax(ball, parameters=parameters, method="local", lists=lists)
+        return jnp.sum(end.state[0].position)
+
+    jax.jvp(height, (0.2,), (1.0,))
+    (problem, nodes, lists), *_ = given
+    assert not bool(problem.outgrown(nodes, lists).any())
 
 
 def test_coincident_particles_are_found_out_of_place(ball):
