@@ -26,8 +26,8 @@ from jaxgrow.equilibrium.listing import (
 )
 from jaxgrow.equilibrium.part import (
     able,
+    around,
     cut,
-    enlarged_by,
     MARGIN,
     Mask,
     none_of,
@@ -49,8 +49,54 @@ whole in the time that it takes to cut out parts of it."""
 RADIUS = 4.0
 """What is within this distance (r0) of a node with too large a force may move."""
 
+LITTLE = 2.0
+"""Where no force is larger than so many tolerances, half of the distance does."""
+
+INSIDE = 0.85
+"""How far below the tolerance a part is relaxed, as a share of it: what is relaxed
+later disturbs it again a little."""
+
+SMALL_SHARE = 0.25
+"""Of what may move; where no more than so much of it is around what feels too much, as
+at the border of what moved before, only that is relaxed next."""
+
 LARGEST_SHARE = 0.25
 """Of all nodes, beyond which the whole is relaxed instead."""
+
+
+class Chosen(NamedTuple):
+    """What is relaxed in a round.
+
+    Attributes:
+        moving: what may move.
+        moved: the same with what could move before.
+    """
+
+    moving: Mask
+    moved: Mask
+
+    @classmethod
+    def nothing(cls, problem: Problem) -> "Chosen":
+        """Before the first round."""
+        return cls(none_of(problem), none_of(problem))
+
+    def following(self, near: Mask, free: Mask) -> "Chosen | None":
+        """The next round; None where only a relaxation of the whole goes on.
+
+        All that moved so far moves again, but for a little around the border: that
+        moves alone, and if this disturbs the rest, all of it moves next.
+
+        Args:
+            near: what is around nodes that feel too much.
+            free: what may move at all.
+        """
+        moved = near.joined(self.moved)
+        grows = moved.size > self.moved.size
+        alone = grows and near.size <= SMALL_SHARE * moved.size
+        again = self.moving.size < self.moved.size
+        if moved.size > LARGEST_SHARE * free.size or not (grows or again):
+            return None
+        return Chosen(near if alone else moved, moved)
 
 
 class Judged(NamedTuple):
@@ -117,10 +163,10 @@ def relax_locally(problem: Problem, lists: Lists, limits: Limits) -> Found:
         The nodes and the forces on all of them; STEP_LIMIT if the part became too large
         a share of the whole, or could not be relaxed by itself.
     """
-    # each round goes below the tolerance: what comes later disturbs it again a little
-    within = limits._replace(tolerance=0.5 * limits.tolerance)
+    within = limits._replace(tolerance=INSIDE * limits.tolerance)
     stage = Stage("lbfgs", LBFGS(), within.tolerance)
-    moving, steps, rebuilds, overflows = none_of(problem), 0, 0, 0
+    chosen = Chosen.nothing(problem)
+    steps = rebuilds = overflows = 0
     free = able(problem)
     judged = _judge(problem, lists, free)
     while True:
@@ -138,11 +184,12 @@ def relax_locally(problem: Problem, lists: Lists, limits: Limits) -> Found:
         if not residual > limits.tolerance:  # NaN too: the whole tells what it is
             return ended
         large = judged.size.above(limits.tolerance)
-        enlarged = enlarged_by(problem, moving, large, free, RADIUS)
-        if enlarged.size > LARGEST_SHARE * free.size or enlarged.size == moving.size:
+        little = residual <= LITTLE * limits.tolerance
+        near = around(problem, large, free, RADIUS / 2 if little else RADIUS)
+        chosen = chosen.following(near, free)
+        if chosen is None:
             return ended
-        moving = enlarged
-        part = cut(problem, moving)
+        part = cut(problem, chosen.moving)
         found = run_stage(
             part.problem, _lists_of(part, judged.lists), stage, within, None, None
         )

@@ -33,6 +33,10 @@ class Mask(NamedTuple):
         """How many they are."""
         return int(self.particles.sum() + self.vertices.sum())
 
+    def joined(self, other: "Mask") -> "Mask":
+        """What is in one of both."""
+        return Mask(*(own | more for own, more in zip(self, other, strict=True)))
+
 
 class Part(NamedTuple):
     """A problem cut out of a larger one.
@@ -134,22 +138,17 @@ class Sizes(NamedTuple):
         return Mask(*(each > tolerance for each in self))
 
 
-def enlarged_by(
-    problem: Problem, moving: Mask, large: Mask, free: Mask, radius: float
-) -> Mask:
-    """What may move: also what is around nodes that feel too much.
+def around(problem: Problem, some: Mask, free: Mask, radius: float) -> Mask:
+    """What may move within a radius, in r0, of some nodes.
 
     Args:
         problem: the whole.
-        moving: what could move before.
-        large: which nodes feel too large a force.
+        some: the nodes.
         free: which may move at all.
-        radius: of what is around a node, in r0.
+        radius: in r0.
     """
-    near = _around(problem, large, radius)
-    return Mask(
-        *((old | new) & on for old, new, on in zip(moving, near, free, strict=True))
-    )
+    near = _around(problem, some, radius)
+    return Mask(*(on & may for on, may in zip(near, free, strict=True)))
 
 
 def cut(problem: Problem, moving: Mask) -> Part:

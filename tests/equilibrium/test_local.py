@@ -12,6 +12,7 @@ import jaxgrow as jg
 from jaxgrow import vicinity
 from jaxgrow.equilibrium import kept, local
 from jaxgrow.equilibrium.listing import allocate_lists
+from jaxgrow.equilibrium.part import Mask
 from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.relax import relax
 from jaxgrow.planting import plant
@@ -88,6 +89,46 @@ def test_a_division_moves_what_is_around_it_and_nothing_else(ball, parent, toler
     whole = relax(start, tolerance=tolerance, method="lbfgs").state[0]
     apart = np.asarray(end.position - whole.position)[:3001]
     assert np.linalg.norm(apart, axis=1).max() < 20 * tolerance
+
+
+def test_what_feels_a_little_too_much_later_is_relaxed_without_the_rest(
+    ball, monkeypatch
+):
+    sizes, cut = [], local.cut
+
+    def watched(problem, moving):
+        sizes.append(moving.size)
+        return cut(problem, moving)
+
+    monkeypatch.setattr(local, "cut", watched)
+    monkeypatch.setattr(local, "RADIUS", 2.0)
+    start = divided(ball, 0)
+    outcome = relax(start, tolerance=3e-3, method="local")
+    assert outcome.stats.method == "local"
+    assert residual(outcome.state[0]) <= 3e-3
+    assert sizes[-1] < max(sizes)
+
+
+def test_rounds_grow_until_the_whole_is_to_be_relaxed():
+    def mask(start, stop):
+        index = np.arange(1000)
+        return Mask((start <= index) & (index < stop), np.zeros(0, bool))
+
+    free = mask(0, 1000)
+    nothing = local.Chosen(mask(0, 0), mask(0, 0))
+    first = nothing.following(mask(0, 200), free)
+    assert (first.moving.size, first.moved.size) == (200, 200)
+    # a little at the border moves alone, and if that disturbs the rest, all of it
+    border = first.following(mask(190, 220), free)
+    assert (border.moving.size, border.moved.size) == (30, 220)
+    again = border.following(mask(150, 160), free)
+    assert (again.moving.size, again.moved.size) == (220, 220)
+    # much of it moves with the rest
+    wider = first.following(mask(190, 320), free)
+    assert (wider.moving.size, wider.moved.size) == (320, 320)
+    # where it does not grow, or grows too much, the whole goes on
+    assert again.following(mask(150, 160), free) is None
+    assert again.following(mask(0, 900), free) is None
 
 
 def test_what_it_cannot_end_is_ended_on_the_whole(ball, monkeypatch):
