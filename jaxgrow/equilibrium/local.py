@@ -28,7 +28,6 @@ from jaxgrow.equilibrium.part import (
     able,
     around,
     cut,
-    MARGIN,
     Mask,
     none_of,
     Part,
@@ -51,6 +50,13 @@ RADIUS = 4.0
 
 LITTLE = 2.0
 """Where no force is larger than so many tolerances, half of the distance does."""
+
+SLIGHT = 1e-2
+"""Largest force, in F(0), by which nodes do not go far."""
+
+MARGINS = 0.25, 1.0
+"""How far a node may go, in r0, before it could meet what was not cut out with it:
+where only slight forces are left, and in any case."""
 
 INSIDE = 0.85
 """How far below the tolerance a part is relaxed, as a share of it: what is relaxed
@@ -189,14 +195,16 @@ def relax_locally(problem: Problem, lists: Lists, limits: Limits) -> Found:
         chosen = chosen.following(near, free)
         if chosen is None:
             return ended
-        part = cut(problem, chosen.moving)
-        found = run_stage(
-            part.problem, _lists_of(part, judged.lists), stage, within, None, None
-        )
-        steps, rebuilds = steps + found.steps, rebuilds + found.rebuilds
-        overflows += found.overflows
-        sound = found.result is Result.CONVERGED
-        if not sound or _farthest(found.nodes, part.problem.nodes()) > MARGIN:
+        for margin in MARGINS if residual <= SLIGHT else MARGINS[-1:]:
+            part = cut(problem, chosen.moving, margin)
+            own = _lists_of(part, judged.lists)
+            found = run_stage(part.problem, own, stage, within, None, None)
+            steps, rebuilds = steps + found.steps, rebuilds + found.rebuilds
+            overflows += found.overflows
+            went = _farthest(found.nodes, part.problem.nodes())
+            if found.result is Result.CONVERGED and went <= margin:
+                break
+        else:
             return ended._replace(steps=steps, rebuilds=rebuilds, overflows=overflows)
         problem = problem.at(part.put(found.nodes, problem.nodes()))
         judged = _judge(problem, judged.lists, free)

@@ -16,9 +16,6 @@ from jaxgrow.transfer import get, get_number, padded
 from jaxgrow.vicinity import near_seeds
 
 
-MARGIN = 1.0
-"""How far a node may go, in r0, before it could meet what was not cut out with it."""
-
 _LEAST = 1024
 
 
@@ -151,9 +148,15 @@ def around(problem: Problem, some: Mask, free: Mask, radius: float) -> Mask:
     return Mask(*(on & may for on, may in zip(near, free, strict=True)))
 
 
-def cut(problem: Problem, moving: Mask) -> Part:
-    """The problem of some nodes, with everything around that acts on them."""
-    near = _around(problem, moving, _span(problem) + MARGIN)
+def cut(problem: Problem, moving: Mask, margin: float) -> Part:
+    """The problem of some nodes, with everything around that acts on them.
+
+    Args:
+        problem: the whole.
+        moving: what may move.
+        margin: how far a node may go, in r0, before it could meet what was not cut out.
+    """
+    near = _around(problem, moving, _span(problem) + margin)
     needed = int(near.particles.sum())
     if problem.membrane is not None:
         needed = max(needed, 2 * _vertices_needed(problem.membrane, near.vertices))

@@ -96,9 +96,9 @@ def test_what_feels_a_little_too_much_later_is_relaxed_without_the_rest(
 ):
     sizes, cut = [], local.cut
 
-    def watched(problem, moving):
+    def watched(problem, moving, margin):
         sizes.append(moving.size)
-        return cut(problem, moving)
+        return cut(problem, moving, margin)
 
     monkeypatch.setattr(local, "cut", watched)
     monkeypatch.setattr(local, "RADIUS", 2.0)
@@ -129,6 +129,18 @@ def test_rounds_grow_until_the_whole_is_to_be_relaxed():
     # where it does not grow, or grows too much, the whole goes on
     assert again.following(mask(150, 160), free) is None
     assert again.following(mask(0, 900), free) is None
+
+
+@pytest.mark.parametrize("last, method", [(1.0, "local"), (1e-9, "lbfgs")])
+def test_what_goes_farther_than_was_allowed_for_is_relaxed_among_more(
+    ball, monkeypatch, last, method
+):
+    monkeypatch.setattr(local, "SLIGHT", 1e9)
+    monkeypatch.setattr(local, "MARGINS", (1e-9, last))
+    outcome = relax(divided(ball, 0), tolerance=1e-2, method="local")
+    assert outcome.result is Result.CONVERGED
+    assert outcome.stats.method == method
+    assert residual(outcome.state[0]) <= 1e-2
 
 
 def test_what_it_cannot_end_is_ended_on_the_whole(ball, monkeypatch):
