@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from jaxgrow import kernels
@@ -19,10 +19,12 @@ from jaxgrow.energy.a2 import CUTOFF
 from jaxgrow.equilibrium.problem import LARGEST_STEP, Lists
 from jaxgrow.equilibrium.relax import relax, Relaxation
 from jaxgrow.mesh.sheet import Walls
+from jaxgrow.neighbors import FEW
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
 from jaxgrow.state import Particles, State
 from jaxgrow.transfer import get
+from jaxgrow.vicinity import near_seeds
 
 
 ATTEMPTS = ((LARGEST_STEP, 1500), (LARGEST_STEP / 4, 4000))
@@ -141,20 +143,46 @@ JUMP, LEAST_JUMP = 1.2, 0.25
 after a division enlarges the whole."""
 
 
+LARGEST_SHARE_LOST = 0.02
+"""Of the particles, which may lose all of their neighbours."""
+
+
 def _flew_apart(before: Particles, after: Particles) -> bool:
     """Whether particles that had neighbours lost them all, or the whole flew apart.
 
     A relaxation with too long steps throws particles out of each other's reach, where
     no force is left and everything seems to be at rest.
     """
-    alone, radius, count = [], [], 0
-    for particles in (before, after):
-        alive = get(particles.alive)
-        points = get(particles.position)[alive]
-        count = len(points)
-        if count < 2:
-            return False
-        alone.append(_alone(points))
-        radius.append(float(np.sqrt(points.var(axis=0).sum())))
-    lost = alone[1] > alone[0] + 0.02 * count
-    return lost or radius[1] > max(JUMP * radius[0], radius[0] + LEAST_JUMP)
+    alive = get(before.alive)
+    old, new = (get(particles.position)[alive] for particles in (before, after))
+    if len(new) < 2:
+        return False
+    radius = [float(np.sqrt(points.var(axis=0).sum())) for points in (old, new)]
+    jumped = radius[1] > max(JUMP * radius[0], radius[0] + LEAST_JUMP)
+    return jumped or _lost(old, new)
+
+
+def _lost(old: Float[np.ndarray, "n 3"], new: Float[np.ndarray, "n 3"]) -> bool:
+    """Whether many more have no neighbour than had none.
+
+    Of very many they are counted near those that moved: only there can it be another
+    number. What was before is counted only where they are many now.
+    """
+    most = LARGEST_SHARE_LOST * len(new)
+    if len(new) <= FEW:
+        alone = _alone(new)
+        return alone > most and alone - _alone(old) > most
+    moved = np.any(old != new, axis=1)
+    seeds = np.concatenate([old[moved], new[moved]])
+    near = near_seeds(old, seeds, CUTOFF) | near_seeds(new, seeds, CUTOFF) | moved
+    alone = _count_alone(new, near)
+    return alone > most and alone - _count_alone(old, near) > most
+
+
+def _count_alone(points: Float[np.ndarray, "n 3"], some: Bool[np.ndarray, " n"]) -> int:
+    """How many of some of the points have no neighbour."""
+    around = near_seeds(points, points[some], CUTOFF)
+    if around.sum() < 2:
+        return int(some.sum())
+    distance, _ = KDTree(points[around]).query(points[some], k=2)
+    return int(np.count_nonzero(distance[:, 1] >= CUTOFF))

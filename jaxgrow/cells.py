@@ -13,11 +13,12 @@ import math
 import sys
 import warnings
 from collections.abc import Iterator
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int, UInt
 from scipy.spatial import KDTree
 
@@ -190,19 +191,28 @@ def most_neighbors(position: Float[Array, "n 3"], radius: float) -> int:
     return int(tree.query_ball_point(points, radius, return_length=True).max()) - 1
 
 
-def relist(wide: Any, position: Float[Array, "n 3"]) -> Any:
+def relist(
+    wide: Any, position: Float[Array, "n 3"], still: Bool[Array, " n"] | None = None
+) -> Any:
     """The list for these positions; its error is set if they do not fit.
 
     On a processor by a loop, where there is one (see `jaxgrow.kernels`).
+
+    Args:
+        wide: a list of so many points.
+        position: in r0.
+        still: points that get no entries, though they are entries of others.
     """
+    if still is None:
+        still = jnp.zeros(position.shape[0], bool)
     by_cells = functools.partial(_by_cells, wide)
     if position.dtype == jnp.float64 and registered("cells"):
         by_loop = functools.partial(_by_loop, wide)
         entries, code = jax.lax.platform_dependent(
-            position, cpu=by_loop, default=by_cells
+            position, still, cpu=by_loop, default=by_cells
         )
     else:
-        entries, code = by_cells(position)
+        entries, code = by_cells(position, still)
     return dataclasses.replace(
         wide,
         idx=entries,
@@ -212,7 +222,7 @@ def relist(wide: Any, position: Float[Array, "n 3"]) -> Any:
 
 
 def _by_loop(
-    wide: Any, position: Float[Array, "n 3"]
+    wide: Any, position: Float[Array, "n 3"], still: Bool[Array, " n"]
 ) -> tuple[Int[Array, "n k"], UInt[Array, ""]]:
     """Entries, and the code of the error."""
     of = Hash.of(position.shape[0], wide.cell_size)
@@ -222,27 +232,31 @@ def _by_loop(
     )
     call = jax.ffi.ffi_call(target("cells"), results, vmap_method="sequential")
     lengths = jnp.array([of.size, of.radius])
-    entries, most = call(position, lengths, jnp.array([of.cells], jnp.int32))
+    entries, most = call(position, lengths, jnp.array([of.cells], jnp.int32), ~still)
     full = _partition().PartitionErrorCode.NEIGHBOR_LIST_OVERFLOW
     return entries, wide.error.update(full, most[0] > wide.max_occupancy).code
 
 
 def _by_cells(
-    wide: Any, position: Float[Array, "n 3"]
+    wide: Any, position: Float[Array, "n 3"], still: Bool[Array, " n"]
 ) -> tuple[Int[Array, "n k"], UInt[Array, ""]]:
     """The same by jax-md."""
     with _permissive():
         moved = position + _SHIFT
         if position.shape[0] <= _MOST_AT_ONCE:
             found = wide.update(moved)  # no move is too small: dr_threshold is 0
-            return found.idx, found.error.code
+            return _without(found.idx, still), found.error.code
         cells = wide.cell_list_fn.update(moved, wide.cell_list_capacity)
     entries, most = _in_portions(wide, cells, moved)
     code = _partition().PartitionErrorCode
     error = wide.error.update(code.CELL_LIST_OVERFLOW, cells.did_buffer_overflow)
-    return entries, error.update(
+    return _without(entries, still), error.update(
         code.NEIGHBOR_LIST_OVERFLOW, most > wide.max_occupancy
     ).code
+
+
+def _without(entries: Int[Array, "n k"], still: Bool[Array, " n"]) -> Array:
+    return jnp.where(still[:, None], entries.shape[0], entries)
 
 
 def _in_portions(
@@ -326,42 +340,33 @@ def moved_to(wide: Any, chosen: Int[Array, " k"], position: Float[Array, "k 3"])
     return dataclasses.replace(wide, reference_position=reference)
 
 
-Chosen: TypeAlias = Int[np.ndarray, " p"]
-"""Indices of some points, on the host."""
-
-
-def entries_of(table: Int[Array, "k n"], chosen: Chosen, room: int) -> Array:
-    """A list of some of the points, in their numbers, with room for padding."""
-    number = np.full(table.shape[1] + 1, room, np.int32)
-    number[chosen] = np.arange(len(chosen), dtype=np.int32)
-    entries = np.full((table.shape[0], room), room, np.int32)
-    entries[:, : len(chosen)] = number[np.asarray(table)[:, chosen]]
-    return jnp.asarray(entries)
-
-
-def rows_of(
-    array: Float[Array, "n 3"], chosen: Chosen, instead: Float[Array, "q 3"]
-) -> Array:
-    """Rows of the chosen points, other ones for padding."""
-    rows = np.array(instead)
-    rows[: len(chosen)] = np.asarray(array)[chosen]
-    return jnp.asarray(rows)
-
-
-def part_of(wide: Any, chosen: Chosen, position: Float[Array, "q 3"]) -> Any:
-    """The list of some of the points.
+def blank(count: int, radius: float, room: int, like: Any) -> Any:
+    """An empty list of a few of the points of another list.
 
     Args:
-        wide: of all of them.
-        chosen: who they are.
-        position: of them and of padding, in r0.
+        count: of slots.
+        radius: up to which pairs are listed, in r0; no more than in the other list.
+        room: for neighbours of a point.
+        like: the other list.
     """
-    room = position.shape[0]
-    update, cell_list = _functions(Hash.of(room, wide.cell_size))
+    update, cell_list = _functions(Hash.of(count, radius))
     return dataclasses.replace(
-        wide,
-        idx=entries_of(wide.idx.T, chosen, room).T,
-        reference_position=rows_of(wide.reference_position, chosen, position + _SHIFT),
+        like,
+        idx=_no_entries(count, room),
+        reference_position=_nowhere(count, like.reference_position.dtype),
+        error=_partition().PartitionError(jnp.zeros((), jnp.uint8)),
+        max_occupancy=room,
+        cell_size=radius,
         cell_list_fn=cell_list,
         update_fn=update,
     )
+
+
+@functools.lru_cache(maxsize=8)
+def _no_entries(count: int, room: int) -> Int[Array, "n k"]:
+    return jnp.full((count, room), count, jnp.int32)
+
+
+@functools.lru_cache(maxsize=8)
+def _nowhere(count: int, dtype: DTypeLike) -> Float[Array, "n 3"]:
+    return jnp.zeros((count, 3), dtype)

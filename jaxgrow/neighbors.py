@@ -39,6 +39,9 @@ _WIDE_SKIN_OF_MANY = 0.7
 """Extra radius of the wide list of few and of many particles: the longer one holds for
 longer, and takes longer to make, which counts where there are many."""
 
+_SKIN_OF_PART = 0.35
+"""The same of a part of them, which is made for one relaxation."""
+
 FEW = 4096
 
 _STRAYS, _STRAYS_OF_FEW = 32, 8
@@ -218,23 +221,33 @@ def _patched(neighbors: Neighbors, position: Float[Array, "n 3"]) -> Neighbors:
     return Neighbors(near.listed, reference, near.full | far.full, wide)
 
 
-def part_of(
-    neighbors: Neighbors, chosen: cells.Chosen, position: Float[Array, "q 3"]
+def of_part(
+    position: Float[Array, "q 3"], still: Bool[Array, " q"], like: Neighbors
 ) -> Neighbors:
-    """The list of some of the particles, made on the host from that of all of them.
+    """A list of a few of the particles of another list, with room as in that.
 
     Args:
-        neighbors: of all of them.
-        chosen: who they are, without repetition.
-        position: of their slots, in their order; the padding follows them, parked.
+        position: of every slot, padding included.
+        still: those that never move and whose forces nobody asks for: they are
+            neighbours of others, but have none.
+        like: the other list.
     """
-    room = position.shape[0]
-    return Neighbors(
-        cells.entries_of(neighbors.listed, chosen, room),
-        cells.rows_of(neighbors.reference, chosen, position),
-        jnp.zeros((), bool),
-        cells.part_of(neighbors.wide, chosen, position),
-    )
+    count, room = position.shape[0], like.listed.shape[0]
+    radius = CUTOFF + min(_SKIN_OF_PART, like.wide_skin)
+    more = int(1.15 * room * (radius / (CUTOFF + SKIN)) ** 3) + 1
+    made = _of_part(position, still, cells.blank(count, radius, more, like.wide), room)
+    if bool(made.overflow):
+        made = allocate(position)
+    return made
+
+
+@functools.partial(jax.jit, static_argnums=3)
+def _of_part(
+    position: Float[Array, "q 3"], still: Bool[Array, " q"], wide: Any, room: int
+) -> Neighbors:
+    wide = cells.relist(wide, position, still)
+    listed, most = _near(position, wide.idx, room)
+    return Neighbors(listed, position, most > room, wide)
 
 
 def update(neighbors: Neighbors, position: Float[Array, "n 3"]) -> Neighbors:

@@ -181,6 +181,7 @@ import multiprocessing, os, signal, threading, time
 grow_one = ensemble._grow
 
 def grow(scene, seed, parameters, options):
+    options = dict(options)
     look = options.pop("progress", lambda _: None)
     for _ in range(3000 if seed > 0 else 0):
         time.sleep(0.1)

@@ -13,6 +13,7 @@ from scipy.spatial import KDTree
 from jaxgrow import adaptation
 from jaxgrow.adaptation import adapt_tissue_and_surface, Laws
 from jaxgrow.audit import audit
+from jaxgrow.energy.a2 import CUTOFF
 from jaxgrow.equilibrium.listing import stale
 from jaxgrow.grow import end_of, grow, STAGNATION
 from jaxgrow.lesion import height_above
@@ -252,6 +253,27 @@ def test_particles_that_fly_apart_are_noticed(thirty, factor, apart):
     nearest_after = nearest(get_particles(after)[0])
     assert (nearest_after.max() < 1.5) == (factor < 4)
     assert adaptation._flew_apart(before, after) is apart
+
+
+@pytest.mark.parametrize("moved", [0, 5, 200])
+@pytest.mark.parametrize("scattered", [0, 3, 9, 40])
+def test_particles_that_lost_their_neighbours_are_counted(moved, scattered):
+    rng = np.random.default_rng(0)
+    old = rng.uniform(-4, 4, (400, 3))
+    old[:3] += 50 * np.arange(1, 4)[:, None]  # they have none from the beginning
+    new, chosen = old.copy(), rng.permutation(400)
+    new[chosen[:moved]] += 0.1 * rng.normal(size=(moved, 3))
+    new[chosen[:scattered]] += 30 + 9 * np.arange(scattered)[:, None]
+    alone = [int(np.count_nonzero(nearest(at) >= CUTOFF)) for at in (old, new)]
+    wanted = alone[1] > alone[0] + 0.02 * 400
+    assert adaptation._lost(old, new) is bool(wanted)
+    assert wanted == (scattered > 8)
+
+
+def test_two_that_keep_away_from_each_other_are_apart():
+    old = np.array([[0.0, 0, 0], [1, 0, 0]])
+    assert adaptation._lost(old, 9 * old)
+    assert not adaptation._lost(9 * old, 10 * old)
 
 
 def test_time_limit_is_a_result():

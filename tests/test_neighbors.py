@@ -303,15 +303,30 @@ def test_the_list_of_a_part_is_that_of_its_particles():
     index = np.flatnonzero(np.linalg.norm(position - 5.0, axis=1) < 5)
     room = len(index) + 20
     slots = np.concatenate([moved[index], np.asarray(parked(20))])
-    part = nb.part_of(whole, index, jnp.asarray(slots))
-    assert part.listed.shape[1] == room
-    assert pairs_of(part, slots) == pairs_by_tree(slots)
+    still = np.arange(room) % 3 == 0
+    part = nb.of_part(jnp.asarray(slots), jnp.asarray(still), whole)
+    assert part.listed.shape == (whole.listed.shape[0], room)
+
+    def of_moving(pairs):
+        return [(i, j) for i, j in pairs if not still[i]]
+
+    assert pairs_of(part, slots) == of_moving(pairs_by_tree(slots))
     rng = np.random.default_rng(12)
     for _ in range(10):
-        slots[: len(index)] += 0.1 * rng.normal(size=(len(index), 3))
+        moves = 0.05 * rng.normal(size=(room, 3))
+        slots = np.where(still[:, None], slots, slots + moves)
         part = update(part, jnp.asarray(slots))
         assert not part.overflow
-        assert pairs_of(part, slots) == pairs_by_tree(slots)
+        found = pairs_of(part, slots)
+        assert of_moving(found) == of_moving(pairs_by_tree(slots))
+
+
+def test_the_list_of_a_part_that_is_denser_has_more_room():
+    whole = nb.allocate(jnp.asarray(crowd(10)))
+    dense = 0.5 * crowd(10)
+    part = nb.of_part(jnp.asarray(dense), jnp.zeros(len(dense), bool), whole)
+    assert part.listed.shape[0] > whole.listed.shape[0]
+    assert pairs_of(part, dense) == pairs_by_tree(dense)
 
 
 @pytest.mark.parametrize("crowded", [False, True])

@@ -170,6 +170,17 @@ def prepared(
     return now.with_collisions(near, found)
 
 
+def with_contacts(problem: Problem, lists: Lists) -> Lists:
+    """Lists of which those of contacts are valid for where the problem is now."""
+    now = Lists(None, lists.contacts, lists.candidates)
+    if now.contacts is not None:
+        if not bool(_hold(problem, now)):
+            now = _refresh(problem, now)
+        if bool(now.overflow):
+            now = allocate_contacts(problem, None, now)
+    return Lists(lists.neighbors, now.contacts, now.candidates)
+
+
 def _near_collisions(
     problem: Problem, found: Collisions, before: Collisions | None
 ) -> Collisions:

@@ -9,24 +9,33 @@ now, until nothing does. The end is judged as that of every method: by the large
 on any free node.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxgrow.equilibrium.kept import evaluated, renewed
 from jaxgrow.equilibrium.lbfgs import LBFGS
-from jaxgrow.equilibrium.listing import allocate_contacts, allocate_lists, prepared
+from jaxgrow.equilibrium.listing import (
+    allocate_contacts,
+    allocate_lists,
+    prepared,
+    with_contacts,
+)
 from jaxgrow.equilibrium.part import (
-    count_free,
+    able,
+    around,
     cut,
-    enlarged_by,
-    MARGIN,
+    Mask,
     none_of,
     Part,
+    Sizes,
 )
 from jaxgrow.equilibrium.problem import Lists, Problem
 from jaxgrow.equilibrium.stages import Found, Limits, run_stage, Stage
-from jaxgrow.neighbors import part_of
+from jaxgrow.neighbors import of_part
 from jaxgrow.numerics import safe_norm
 from jaxgrow.results import Result
 from jaxgrow.state import Nodes
@@ -39,16 +48,108 @@ whole in the time that it takes to cut out parts of it."""
 RADIUS = 4.0
 """What is within this distance (r0) of a node with too large a force may move."""
 
+LITTLE = 2.0
+"""Where no force is larger than so many tolerances, half of the distance does."""
+
+SLIGHT = 1e-2
+"""Largest force, in F(0), by which nodes do not go far."""
+
+MARGINS = 0.25, 1.0
+"""How far a node may go, in r0, before it could meet what was not cut out with it:
+where only slight forces are left, and in any case."""
+
+INSIDE = 0.85
+"""How far below the tolerance a part is relaxed, as a share of it: what is relaxed
+later disturbs it again a little."""
+
+SMALL_SHARE = 0.25
+"""Of what may move; where no more than so much of it is around what feels too much, as
+at the border of what moved before, only that is relaxed next."""
+
 LARGEST_SHARE = 0.25
 """Of all nodes, beyond which the whole is relaxed instead."""
 
 
+class Chosen(NamedTuple):
+    """What is relaxed in a round.
+
+    Attributes:
+        moving: what may move.
+        moved: the same with what could move before.
+    """
+
+    moving: Mask
+    moved: Mask
+
+    @classmethod
+    def nothing(cls, problem: Problem) -> "Chosen":
+        """Before the first round."""
+        return cls(none_of(problem), none_of(problem))
+
+    def following(self, near: Mask, free: Mask) -> "Chosen | None":
+        """The next round; None where only a relaxation of the whole goes on.
+
+        All that moved so far moves again, but for a little around the border: that
+        moves alone, and if this disturbs the rest, all of it moves next.
+
+        Args:
+            near: what is around nodes that feel too much.
+            free: what may move at all.
+        """
+        moved = near.joined(self.moved)
+        grows = moved.size > self.moved.size
+        alone = grows and near.size <= SMALL_SHARE * moved.size
+        again = self.moving.size < self.moved.size
+        if moved.size > LARGEST_SHARE * free.size or not (grows or again):
+            return None
+        return Chosen(near if alone else moved, moved)
+
+
+class Judged(NamedTuple):
+    """What everything feels.
+
+    Attributes:
+        force: on every node.
+        size: of it, where it counts.
+        lists: contacts as they were found for it, and the pair forces to be kept; the
+            neighbours of all particles are listed anew only where all are asked for.
+    """
+
+    force: Nodes
+    size: Sizes
+    lists: Lists
+
+
 @eqx.filter_jit
-def _judge(problem: Problem, lists: Lists) -> tuple[Nodes, Nodes]:
-    """The force on every node, and how large it is where it counts."""
-    force = problem.forces(problem.nodes(), lists)
-    size = jax.tree.map(lambda f, on: safe_norm(f) * on[:, 0], force, problem.free())
-    return force, size
+def _but_pairs(problem: Problem, lists: Lists) -> Nodes:
+    """Forces of all terms but that between particles."""
+    return problem.forces(problem.nodes(), Lists(None, lists.contacts))
+
+
+def _judge(problem: Problem, lists: Lists, free: Mask) -> Judged:
+    """The force on every node: of pairs by what is another than when they were kept."""
+    kept = None
+    if problem.particles is None:
+        lists = with_contacts(problem, lists)
+    else:
+        kept = renewed(lists.kept, problem.particles, problem.parameters)
+        if kept is None:
+            lists = prepared(problem, lists, None)
+            assert lists.neighbors is not None
+            listed = lists.neighbors.listed
+            kept = evaluated(problem.particles, listed, problem.parameters)
+        else:
+            lists = with_contacts(problem, lists)
+    if problem.membrane is None:
+        assert kept is not None
+        force = Nodes(kept.force, None)
+    else:
+        force = _but_pairs(problem, lists)
+        if kept is not None:
+            assert force.particles is not None
+            force = Nodes(force.particles + kept.force, force.vertices)
+    lists = Lists(lists.neighbors, lists.contacts, lists.candidates, kept=kept)
+    return Judged(force, Sizes.of(force, free), lists)
 
 
 def may_pay(problem: Problem) -> bool:
@@ -73,19 +174,18 @@ def relax_locally(problem: Problem, lists: Lists, limits: Limits) -> Found:
         The nodes and the forces on all of them; STEP_LIMIT if the part became too large
         a share of the whole, or could not be relaxed by itself.
     """
-    # each round goes below the tolerance: what comes later disturbs it again a little
-    within = limits._replace(tolerance=0.5 * limits.tolerance)
+    within = limits._replace(tolerance=INSIDE * limits.tolerance)
     stage = Stage("lbfgs", LBFGS(), within.tolerance)
-    moving, steps, rebuilds, overflows = none_of(problem), 0, 0, 0
-    limit = LARGEST_SHARE * count_free(problem)
-    lists = prepared(problem, lists, None)
-    force, size = _judge(problem, lists)
+    chosen = Chosen.nothing(problem)
+    steps = rebuilds = overflows = 0
+    free = able(problem)
+    judged = _judge(problem, lists, free)
     while True:
-        residual = max(float(jnp.max(each)) for each in jax.tree.leaves(size))
+        residual = judged.size.largest
         ended = Found(
             problem.nodes(),
-            force,
-            lists,
+            judged.force,
+            judged.lists,
             Result.CONVERGED if residual <= limits.tolerance else Result.STEP_LIMIT,
             residual,
             steps,
@@ -94,31 +194,33 @@ def relax_locally(problem: Problem, lists: Lists, limits: Limits) -> Found:
         )
         if not residual > limits.tolerance:  # NaN too: the whole tells what it is
             return ended
-        enlarged = enlarged_by(problem, moving, size, limits.tolerance, RADIUS)
-        if enlarged.size > limit or enlarged.size == moving.size:
+        large = judged.size.above(limits.tolerance)
+        little = residual <= LITTLE * limits.tolerance
+        near = around(problem, large, free, RADIUS / 2 if little else RADIUS)
+        chosen = chosen.following(near, free)
+        if chosen is None:
             return ended
-        moving = enlarged
-        part = cut(problem, moving)
-        found = run_stage(
-            part.problem, _lists_of(part, lists), stage, within, None, None
-        )
-        steps, rebuilds = steps + found.steps, rebuilds + found.rebuilds
-        overflows += found.overflows
-        whole = part.put(found.nodes, problem.nodes())
-        sound = found.result is Result.CONVERGED
-        if not sound or _farthest(whole, problem.nodes()) > MARGIN:
+        for margin in MARGINS if residual <= SLIGHT else MARGINS[-1:]:
+            part = cut(problem, chosen.moving, margin)
+            own = _lists_of(part, judged.lists)
+            found = run_stage(part.problem, own, stage, within, None, None)
+            steps, rebuilds = steps + found.steps, rebuilds + found.rebuilds
+            overflows += found.overflows
+            went = _farthest(found.nodes, part.problem.nodes())
+            if found.result is Result.CONVERGED and went <= margin:
+                break
+        else:
             return ended._replace(steps=steps, rebuilds=rebuilds, overflows=overflows)
-        problem = problem.at(whole)
-        lists = prepared(problem, lists, None)
-        force, size = _judge(problem, lists)
+        problem = problem.at(part.put(found.nodes, problem.nodes()))
+        judged = _judge(problem, judged.lists, free)
 
 
 def _lists_of(part: Part, lists: Lists) -> Lists:
-    """Lists of a part, its neighbours from those of the whole."""
-    if part.problem.particles is None or lists.neighbors is None:
+    """Lists of a part, with room as in those of the whole."""
+    particles = part.problem.particles
+    if particles is None or lists.neighbors is None:
         return allocate_lists(part.problem)
-    position = part.problem.particles.position
-    neighbors = part_of(lists.neighbors, part.particles, position)
+    neighbors = of_part(particles.position, ~particles.free, lists.neighbors)
     return allocate_contacts(part.problem, neighbors)
 
 

@@ -1,11 +1,11 @@
 """A problem cut out of a larger one: some nodes may move, those around are held."""
 
+import functools
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxgrow.capacity import capacity_for
 from jaxgrow.energy.a2 import CUTOFF
@@ -15,9 +15,6 @@ from jaxgrow.state import Membrane, Nodes, parked, Particles
 from jaxgrow.transfer import get, get_number, padded
 from jaxgrow.vicinity import near_seeds
 
-
-MARGIN = 1.0
-"""How far a node may go, in r0, before it could meet what was not cut out with it."""
 
 _LEAST = 1024
 
@@ -32,6 +29,10 @@ class Mask(NamedTuple):
     def size(self) -> int:
         """How many they are."""
         return int(self.particles.sum() + self.vertices.sum())
+
+    def joined(self, other: "Mask") -> "Mask":
+        """What is in one of both."""
+        return Mask(*(own | more for own, more in zip(self, other, strict=True)))
 
 
 class Part(NamedTuple):
@@ -55,8 +56,9 @@ class Part(NamedTuple):
         ) -> Array | None:
             if part is None or whole is None:
                 return whole
-            rows = padded(index, part.shape[0], whole.shape[0])  # padding is dropped
-            return whole.at[jnp.asarray(rows)].set(part, mode="drop")
+            rows = np.array(get(whole))
+            rows[index] = get(part)[: len(index)]
+            return jnp.asarray(rows)
 
         return Nodes(
             placed(nodes.particles, into.particles, self.particles),
@@ -95,41 +97,66 @@ def none_of(problem: Problem) -> Mask:
     return Mask(*(np.zeros(count, bool) for count in counts))
 
 
-def count_free(problem: Problem) -> int:
-    """How many nodes may move."""
-    return sum(int(get(free)[:, 0].sum()) for free in jax.tree.leaves(problem.free()))
-
-
-def enlarged_by(
-    problem: Problem, moving: Mask, size: Nodes, tolerance: float, radius: float
-) -> Mask:
-    """What may move: also what is around nodes that feel too much.
-
-    Args:
-        problem: the whole.
-        moving: what could move before.
-        size: of the force on every node that is free.
-        tolerance: how much is too much, in F(0).
-        radius: of what is around a node, in r0.
-    """
+def able(problem: Problem) -> Mask:
+    """Which nodes may move at all."""
     none = none_of(problem)
-    large = [
-        no if rows is None else get(rows) > tolerance
-        for rows, no in zip(_both(size), none, strict=True)
-    ]
-    able = [
-        no if rows is None else get(rows)[:, 0] > 0
-        for rows, no in zip(_both(problem.free()), none, strict=True)
-    ]
-    near = _around(problem, Mask(*large), radius)
     return Mask(
-        *((old | new) & on for old, new, on in zip(moving, near, able, strict=True))
+        none.particles if problem.particles is None else get(problem.particles.free),
+        none.vertices if problem.membrane is None else get(problem.membrane.free),
     )
 
 
-def cut(problem: Problem, moving: Mask) -> Part:
-    """The problem of some nodes, with everything around that acts on them."""
-    near = _around(problem, moving, _span(problem) + MARGIN)
+class Sizes(NamedTuple):
+    """How large something is, per node."""
+
+    particles: Float[np.ndarray, " n"]
+    vertices: Float[np.ndarray, " m"]
+
+    @classmethod
+    def of(cls, force: Nodes, free: Mask) -> "Sizes":
+        """How large the force on every node is, 0 on those that may not move."""
+
+        def size(rows: Array | None, on: Bool[np.ndarray, " k"]) -> np.ndarray:
+            if rows is None:
+                return np.zeros(0)
+            host = get(rows)
+            return np.where(on, np.sqrt(np.einsum("ij,ij->i", host, host)), 0)
+
+        rows = zip(_both(force), free, strict=True)
+        return cls(*(size(each, on) for each, on in rows))
+
+    @property
+    def largest(self) -> float:
+        """Of all nodes; NaN if one is."""
+        return float(max(np.max(each, initial=0) for each in self if len(each)))
+
+    def above(self, tolerance: float) -> Mask:
+        """Which nodes have more than so much."""
+        return Mask(*(each > tolerance for each in self))
+
+
+def around(problem: Problem, some: Mask, free: Mask, radius: float) -> Mask:
+    """What may move within a radius, in r0, of some nodes.
+
+    Args:
+        problem: the whole.
+        some: the nodes.
+        free: which may move at all.
+        radius: in r0.
+    """
+    near = _around(problem, some, radius)
+    return Mask(*(on & may for on, may in zip(near, free, strict=True)))
+
+
+def cut(problem: Problem, moving: Mask, margin: float) -> Part:
+    """The problem of some nodes, with everything around that acts on them.
+
+    Args:
+        problem: the whole.
+        moving: what may move.
+        margin: how far a node may go, in r0, before it could meet what was not cut out.
+    """
+    near = _around(problem, moving, _span(problem) + margin)
     needed = int(near.particles.sum())
     if problem.membrane is not None:
         needed = max(needed, 2 * _vertices_needed(problem.membrane, near.vertices))
@@ -175,12 +202,18 @@ def _within(
     return chosen, number[rows[chosen]]
 
 
+@functools.cache
+def _parking(room: int) -> Float[np.ndarray, "q 3"]:
+    """Places for padding on the host: made once a size, each is a compilation."""
+    return get(parked(room))
+
+
 def _cut_particles(
     particles: Particles, near: Mask, moving: Mask, room: int
 ) -> Particles:
     chosen = near.particles
     position = get(particles.position)[chosen]
-    padding = np.asarray(parked(room - len(position)), position.dtype)
+    padding = _parking(room)[len(position) :].astype(position.dtype)
     return Particles(
         position=jnp.asarray(np.concatenate([position, padding])),
         species=jnp.asarray(padded(get(particles.species)[chosen], room)),

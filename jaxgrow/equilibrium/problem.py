@@ -27,6 +27,7 @@ from jaxgrow.energy.contact import (
 )
 from jaxgrow.energy.pair import pair_energy, pair_force
 from jaxgrow.energy.springs import spring_energy
+from jaxgrow.equilibrium.kept import Kept
 from jaxgrow.parameters import as_arrays, Parameters
 from jaxgrow.state import Membrane, Nodes, Particles
 from jaxgrow.types import Scalar
@@ -62,6 +63,7 @@ class Lists(eqx.Module):
         collisions: of the membrane, that the energy is computed from.
         encounters: more of them, listed by the host, in which those are found again;
             None where the host's are the energy's.
+        kept: pair forces that were evaluated last, where they are kept.
     """
 
     neighbors: nb.Neighbors | None
@@ -69,6 +71,7 @@ class Lists(eqx.Module):
     candidates: Contacts | None = None
     collisions: Collisions | None = None
     encounters: Collisions | None = None
+    kept: Kept | None = None
 
     @property
     def overflow(self) -> Bool[Array, ""]:

@@ -9,7 +9,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxgrow.equilibrium.implicit import at_equilibrium, is_differentiated, primal
-from jaxgrow.equilibrium.listing import allocate_lists, CollisionLister, fits
+from jaxgrow.equilibrium.listing import (
+    allocate_lists,
+    CollisionLister,
+    fits,
+    prepared,
+)
 from jaxgrow.equilibrium.local import may_pay, relax_locally
 from jaxgrow.equilibrium.problem import LARGEST_STEP, Lists, Problem
 from jaxgrow.equilibrium.stages import (
@@ -24,6 +29,8 @@ from jaxgrow.equilibrium.staggered import stagger
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
 from jaxgrow.state import Membrane, Nodes, Particles
+from jaxgrow.transfer import get
+from jaxgrow.vicinity import may_coincide
 
 
 class RelaxationStats(NamedTuple):
@@ -178,8 +185,9 @@ def relax(
     given = Problem.of(particles, membrane, parameters, load)
     differentiated = is_differentiated(given)
     problem = primal(given) if differentiated else given
-    if problem.particles is not None:
-        apart = _set_apart(problem.particles)
+    own = problem.particles
+    if own is not None and may_coincide(get(own.position), get(own.alive)):
+        apart = _set_apart(own)
         problem = Problem(apart, problem.membrane, problem.parameters, problem.load)
     if differentiated:
         tolerance = min(tolerance, exact_tolerance(given.dtype))
@@ -213,6 +221,8 @@ def relax(
         if done or result not in (Result.CONVERGED, Result.STEP_LIMIT):
             break
     if differentiated:
+        if stats.method == "local":  # which keeps no list of all neighbours valid
+            lists = prepared(problem, lists, None)
         valid = result is Result.CONVERGED
         nodes = at_equilibrium(given, problem.nodes(), lists, valid=valid)
         problem = given.at(nodes)

@@ -13,8 +13,10 @@ import functools
 import hashlib
 import os
 from contextlib import suppress
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -62,3 +64,20 @@ def forget_others(folder: Path) -> bool:
     cache.mkdir(exist_ok=True)
     stamp.write_text(sources.hexdigest())
     return True
+
+
+@functools.cache
+def loops(name: str) -> Any:
+    """The loops that the host calls itself; None where none may be used.
+
+    Args:
+        name: of a module of `jaxgrow.kernels`.
+    """
+    if not wanted():
+        return None
+    try:
+        # not above: numba takes half a second to import
+        return import_module(f"jaxgrow.kernels.{name}")
+    # numba loops that it can keep in no folder; then the host does without
+    except Exception:
+        return None

@@ -25,6 +25,7 @@ def find(
     size: float,
     radius: float,
     side: int,
+    asked: np.ndarray,
     entries: np.ndarray,
     most: np.ndarray,
 ) -> None:
@@ -38,6 +39,7 @@ def find(
         size: of a cell; no less than the radius.
         radius: that neighbours are closer than.
         side: number of cells along an axis; three at least.
+        asked: which points have neighbours; the others have none, but are some.
         entries: neighbours of each point, n for empty entries. Written.
         most: neighbours of a point, listed or not, at most. Written.
     """
@@ -66,31 +68,34 @@ def find(
             sorted_position[place, axis] = position[i, axis]
     most[0] = 0
     square = radius * radius
+    rows = np.zeros((3, 3), np.int64)
+    row = np.zeros(room + 1, np.int64)
     for i in range(count):
         x, y, z = position[i, 0], position[i, 1], position[i, 2]
         found = 0
-        for way in range(27 if x < AWAY else 0):
-            a = (cell[i, 0] + way // 9 - 1) % side
-            b = (cell[i, 1] + way // 3 % 3 - 1) % side
-            c = (cell[i, 2] + way % 3 - 1) % side
+        for axis in range(3):
+            for way in range(3):
+                rows[axis, way] = (cell[i, axis] + way - 1) % side
+        for way in range(27 if asked[i] and x < AWAY else 0):
+            a, b, c = rows[0, way // 9], rows[1, way // 3 % 3], rows[2, way % 3]
             number = (a * side + b) * side + c
             for place in range(first[number], first[number + 1]):
                 dx = x - sorted_position[place, 0]
                 dy = y - sorted_position[place, 1]
                 dz = z - sorted_position[place, 2]
-                if dx * dx + dy * dy + dz * dz < square and order[place] != i:
-                    if found < room:
-                        entries[i, found] = order[place]
-                    found += 1
-        for empty in range(found, room):
-            entries[i, empty] = count
+                near = dx * dx + dy * dy + dz * dz < square
+                # without a branch, which would be guessed wrong for each sixth
+                row[min(found, room)] = order[place]
+                found += near & (order[place] != i)
+        for entry in range(room):
+            entries[i, entry] = row[entry] if entry < found else count
         most[0] = max(most[0], found)
 
 
 @cfunc(frames.HANDLER, cache=True)
 @no_type_check
 def handler(frame: int) -> int:
-    """For XLA: positions, then size and radius, and side; results as of `find`."""
+    """For XLA: positions, size and radius, side, who is asked; results as of `find`."""
     if frames.answers_version(frame):
         return 0
     count, room = frames.size(frame, 0, 0), frames.size_of_result(frame, 0, 1)
@@ -100,6 +105,7 @@ def handler(frame: int) -> int:
         lengths[0],
         lengths[1],
         frames.indices(frames.argument(frame, 2), (1,))[0],
+        frames.booleans(frames.argument(frame, 3), (count,)),
         frames.indices(frames.result(frame, 0), (count, room)),
         frames.indices(frames.result(frame, 1), (1,)),
     )

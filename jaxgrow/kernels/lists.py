@@ -139,7 +139,8 @@ def _relist_neighbours(
     most = np.zeros(1, np.int32)
     if not holds:
         size, side = bounds.cell, int(bounds.cells)
-        cells.find(particles, size, bounds.wide_radius, side, wide.listed, most)
+        radius = bounds.wide_radius
+        cells.find(particles, size, radius, side, alive, wide.listed, most)
         _keep(particles, alive, wide.listed_at)
         counts[FULL_WIDE] |= most[0] > wide.listed.shape[1]
     near.find(particles, wide.listed, bounds.radius**2, listed.listed, most)

@@ -1,19 +1,27 @@
 """Relaxing only what is disturbed: the same end, judged on everything."""
 
+import sys
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxgrow as jg
-from jaxgrow.equilibrium import local
+from jaxgrow import vicinity
+from jaxgrow.equilibrium import kept, local
 from jaxgrow.equilibrium.listing import allocate_lists
+from jaxgrow.equilibrium.part import Mask
 from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.relax import relax
 from jaxgrow.planting import plant
 from jaxgrow.results import Result
 from jaxgrow.state import Species
 from jaxgrow.transfer import put_particles
+
+
+equilibrium = sys.modules["jaxgrow.equilibrium.relax"]  # the name is the function's
 
 
 def residual(particles, membrane=None, load=None):
@@ -31,6 +39,7 @@ def residual(particles, membrane=None, load=None):
 def large_parts(monkeypatch):
     """Parts that would not pay, since what is tested is small."""
     monkeypatch.setattr(local, "LARGEST_SHARE", 0.7)
+    monkeypatch.setattr(kept, "LARGEST_SHARE", 0.7)
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +91,58 @@ def test_a_division_moves_what_is_around_it_and_nothing_else(ball, parent, toler
     assert np.linalg.norm(apart, axis=1).max() < 20 * tolerance
 
 
+def test_what_feels_a_little_too_much_later_is_relaxed_without_the_rest(
+    ball, monkeypatch
+):
+    sizes, cut = [], local.cut
+
+    def watched(problem, moving, margin):
+        sizes.append(moving.size)
+        return cut(problem, moving, margin)
+
+    monkeypatch.setattr(local, "cut", watched)
+    monkeypatch.setattr(local, "RADIUS", 2.0)
+    start = divided(ball, 0)
+    outcome = relax(start, tolerance=3e-3, method="local")
+    assert outcome.stats.method == "local"
+    assert residual(outcome.state[0]) <= 3e-3
+    assert sizes[-1] < max(sizes)
+
+
+def test_rounds_grow_until_the_whole_is_to_be_relaxed():
+    def mask(start, stop):
+        index = np.arange(1000)
+        return Mask((start <= index) & (index < stop), np.zeros(0, bool))
+
+    free = mask(0, 1000)
+    nothing = local.Chosen(mask(0, 0), mask(0, 0))
+    first = nothing.following(mask(0, 200), free)
+    assert (first.moving.size, first.moved.size) == (200, 200)
+    # a little at the border moves alone, and if that disturbs the rest, all of it
+    border = first.following(mask(190, 220), free)
+    assert (border.moving.size, border.moved.size) == (30, 220)
+    again = border.following(mask(150, 160), free)
+    assert (again.moving.size, again.moved.size) == (220, 220)
+    # much of it moves with the rest
+    wider = first.following(mask(190, 320), free)
+    assert (wider.moving.size, wider.moved.size) == (320, 320)
+    # where it does not grow, or grows too much, the whole goes on
+    assert again.following(mask(150, 160), free) is None
+    assert again.following(mask(0, 900), free) is None
+
+
+@pytest.mark.parametrize("last, method", [(1.0, "local"), (1e-9, "lbfgs")])
+def test_what_goes_farther_than_was_allowed_for_is_relaxed_among_more(
+    ball, monkeypatch, last, method
+):
+    monkeypatch.setattr(local, "SLIGHT", 1e9)
+    monkeypatch.setattr(local, "MARGINS", (1e-9, last))
+    outcome = relax(divided(ball, 0), tolerance=1e-2, method="local")
+    assert outcome.result is Result.CONVERGED
+    assert outcome.stats.method == method
+    assert residual(outcome.state[0]) <= 1e-2
+
+
 def test_what_it_cannot_end_is_ended_on_the_whole(ball, monkeypatch):
     monkeypatch.setattr(local, "LARGEST_SHARE", 0.5)
     start = divided(ball, 0)
@@ -121,6 +182,81 @@ def test_forces_are_those_on_everything(ball):
     size = np.linalg.norm(np.asarray(outcome.forces.particles), axis=1)
     np.testing.assert_allclose(size.max(), outcome.stats.residual)
     assert np.count_nonzero(size) > 2900
+
+
+def test_forces_are_evaluated_on_everything_once_and_then_kept(ball, monkeypatch):
+    pytest.importorskip("numba")
+    first = relax(divided(ball, 0), tolerance=1e-2, method="local")
+
+    def never(*_):
+        raise AssertionError("forces on everything are asked for")
+
+    monkeypatch.setattr(local, "evaluated", never)
+    monkeypatch.setattr(local, "prepared", never)
+    start = divided(first.state[0], 40, slot=3001)
+    again = relax(start, tolerance=1e-2, method="local", lists=first.lists)
+    assert again.result is Result.CONVERGED
+    np.testing.assert_allclose(residual(again.state[0]), again.stats.residual)
+    problem = Problem.of(again.state[0], None)
+    wanted = problem.forces(problem.nodes(), allocate_lists(problem)).particles
+    np.testing.assert_allclose(again.forces.particles, wanted, rtol=0, atol=1e-13)
+    # so the lists of all neighbours are those that were given
+    assert again.lists.neighbors is first.lists.neighbors
+
+
+def test_what_was_disturbed_anywhere_since_is_found(ball):
+    first = relax(divided(ball, 0), tolerance=1e-2, method="local")
+    moved = first.state[0].position.at[2990].add(jnp.array([0.2, 0.1, -0.2]))
+    start = eqx.tree_at(lambda p: p.position, first.state[0], moved)
+    assert residual(start) > 1e-2
+    again = relax(start, tolerance=1e-2, method="local", lists=first.lists)
+    assert again.result is Result.CONVERGED
+    assert residual(again.state[0]) <= 1e-2
+
+
+def test_lists_may_be_used_again_and_by_other_methods(ball):
+    start = divided(ball, 0)
+    first = relax(start, tolerance=1e-2, method="local")
+    ends = [
+        relax(start, tolerance=1e-2, method=method, lists=first.lists)
+        for method in ("local", "lbfgs")
+    ]
+    assert all(residual(end.state[0]) <= 1e-2 for end in ends)
+    np.testing.assert_allclose(
+        ends[0].state[0].position, first.state[0].position, rtol=0, atol=1e-9
+    )
+
+
+def test_without_loops_it_comes_to_the_same(ball, monkeypatch):
+    pytest.importorskip("numba")
+    start = divided(ball, 0)
+    ends = [relax(start, tolerance=1e-2, method="local").state[0].position]
+    for module in (vicinity, kept):
+        monkeypatch.setattr(module, "loops", lambda _: None)
+    ends.append(relax(start, tolerance=1e-2, method="local").state[0].position)
+    np.testing.assert_allclose(*ends, rtol=0, atol=1e-9)
+
+
+def test_a_derivative_is_taken_with_lists_of_where_it_ended(ball, monkeypatch):
+    far = eqx.tree_at(lambda p: p.position, ball, 1.5 * ball.position)
+    given = []
+
+    def told(problem, nodes, lists, *, valid):
+        given.append((problem, nodes, lists))
+        return nodes
+
+    monkeypatch.setattr(equilibrium, "at_equilibrium", told)
+    monkeypatch.setattr(equilibrium, "exact_tolerance", lambda _: 1e-2)
+    lists = relax(far, tolerance=1e3, method="local").lists
+
+    def height(adhesion):
+        parameters = jg.Parameters(adhesion=adhesion)
+        end = relax(ball, parameters=parameters, method="local", lists=lists)
+        return jnp.sum(end.state[0].position)
+
+    jax.jvp(height, (0.2,), (1.0,))
+    (problem, nodes, lists), *_ = given
+    assert not bool(problem.outgrown(nodes, lists).any())
 
 
 def test_coincident_particles_are_found_out_of_place(ball):

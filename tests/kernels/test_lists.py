@@ -33,7 +33,8 @@ def test_wide_list_is_that_of_jax_md(count):
     wide = cells.make(position, cells.Hash.of(count, RADIUS))
     assert "jaxgrow_cells" in jax.jit(cells.relist).lower(wide, position).as_text()
     made = jax.jit(cells.relist)(wide, position)
-    entries, code = jax.jit(cells._by_cells)(wide, position)
+    everyone = jnp.zeros(count, bool)
+    entries, code = jax.jit(cells._by_cells)(wide, position, everyone)
     assert int(code) == int(made.error.code) == 0
     np.testing.assert_array_equal(sorted_rows(made.idx), sorted_rows(entries))
     np.testing.assert_array_equal(cells.moved(made, position), 0)

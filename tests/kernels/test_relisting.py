@@ -65,16 +65,16 @@ def test_list_without_room_for_a_particle_says_so():
     from jaxgrow.kernels import links
 
     place, radius = places(80), 1.6
-    most = max(map(len, as_sets(neighbours(place, radius, 79))))
-    listed = neighbours(place, radius, most)
-    crowded = max(range(80), key=lambda i: len(as_sets(listed)[i]))
-    newcomer = (crowded + 1) % 80
+    near = as_sets(neighbours(place, radius, 79))
+    most = max(map(len, near))
+    crowded = max(range(80), key=lambda i: len(near[i]))
+    newcomer = int(np.linalg.norm(place - place[crowded], axis=1).argmax())
+    listed = neighbours(place, radius, most + 1)
     place[newcomer] = place[crowded] + [0.05, 0.0, 0.0]
-    fits = links.relink(listed, newcomer, place, radius)
-    assert fits == all(
-        len(near) <= most for near in as_sets(neighbours(place, radius, 79))
-    )
-    assert not fits
+    roomy = listed.copy()
+    assert links.relink(roomy, newcomer, place, radius)
+    assert len(as_sets(roomy)[crowded]) == most + 1
+    assert not links.relink(listed[:most], newcomer, place, radius)
 
 
 @pytest.fixture(scope="module")

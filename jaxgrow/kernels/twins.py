@@ -1,0 +1,42 @@
+"""The loop that finds whether any two of many points are the same."""
+
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+@no_type_check
+def any_same(points: np.ndarray, chosen: np.ndarray) -> bool:
+    """Whether two of the chosen points have the same coordinates; 0 is -0, NaN nothing.
+
+    Each is put in a table at a place that its coordinates tell, or the next free one.
+
+    Args:
+        points: in any unit.
+        chosen: which of them count.
+    """
+    bits = 4
+    while 1 << bits < 2 * len(points):
+        bits += 1
+    mask = (1 << bits) - 1
+    table = np.full(1 << bits, -1, np.int64)
+    whole = (points + 0.0).view(np.uint64)  # of -0 too it is 0
+    for i in range(len(points)):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        if not chosen[i] or x != x or y != y or z != z:
+            continue
+        mixed = whole[i, 0] * np.uint64(0x9E3779B97F4A7C15)
+        mixed = (mixed ^ (mixed >> np.uint64(32))) + whole[i, 1]
+        mixed *= np.uint64(0xBF58476D1CE4E5B9)
+        mixed = (mixed ^ (mixed >> np.uint64(29))) + whole[i, 2]
+        mixed *= np.uint64(0x94D049BB133111EB)
+        place = np.int64(mixed >> np.uint64(33)) & mask
+        while table[place] >= 0:
+            j = table[place]
+            if points[j, 0] == x and points[j, 1] == y and points[j, 2] == z:
+                return True
+            place = (place + 1) & mask
+        table[place] = i
+    return False

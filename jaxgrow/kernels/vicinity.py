@@ -1,0 +1,358 @@
+"""Loops over cells of space around some of many points: who is near, and what it feels.
+
+They touch the cells around those points and pass once over everything else, so that
+what happens among a few costs about as much in a crowd of any size. Called by the host.
+"""
+
+import math
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+from jaxgrow.kernels.laws import a2, branches, EXACT
+
+
+_MOST_CELLS = 64
+"""Along an axis; cells are larger where points are farther apart."""
+
+_SLACK = 1.0001
+"""Size of a cell over the radius, so that rounding loses no pair."""
+
+
+@njit(cache=True)
+@no_type_check
+def _box_of(points: np.ndarray, chosen: np.ndarray, box: np.ndarray) -> None:
+    """Widen a box, its lower and its upper corner, to hold the chosen points."""
+    for i in range(len(points)):
+        if chosen[i]:
+            for axis in range(3):
+                box[0, axis] = min(box[0, axis], points[i, axis])
+                box[1, axis] = max(box[1, axis], points[i, axis])
+
+
+@njit(cache=True)
+@no_type_check
+def _inside(point: np.ndarray, box: np.ndarray) -> bool:
+    """Whether it is in a box; what is nowhere is not."""
+    inside = True
+    for axis in range(3):
+        inside &= (box[0, axis] <= point[axis]) & (point[axis] <= box[1, axis])
+    return inside
+
+
+@njit(cache=True)
+@no_type_check
+def _cells(box: np.ndarray, size: float) -> tuple[np.ndarray, float, np.ndarray]:
+    """Cells over a box with an empty one on all sides: corner, size, their numbers."""
+    widest = 0.0
+    for axis in range(3):
+        widest = max(widest, box[1, axis] - box[0, axis])
+    size = max(size, widest / _MOST_CELLS)
+    sides = np.zeros(3, np.int64)
+    for axis in range(3):
+        sides[axis] = int((box[1, axis] - box[0, axis]) / size) + 3
+    return box[0] - size, size, sides
+
+
+@njit(cache=True)
+@no_type_check
+def _cell(point: np.ndarray, low: np.ndarray, size: float, sides: np.ndarray) -> int:
+    a = int((point[0] - low[0]) / size)
+    b = int((point[1] - low[1]) / size)
+    c = int((point[2] - low[2]) / size)
+    return (a * sides[1] + b) * sides[2] + c
+
+
+@njit(cache=True)
+@no_type_check
+def _rows(sides: np.ndarray) -> np.ndarray:
+    """From a cell to the first of each three in a row around it, its own ones first."""
+    steps = np.zeros(9, np.int64)
+    for way in range(9):
+        other = (way + 4) % 9
+        steps[way] = ((other // 3 - 1) * sides[1] + other % 3 - 1) * sides[2] - 1
+    return steps
+
+
+@njit(cache=True)
+@no_type_check
+def _sort(
+    points: np.ndarray,
+    chosen: np.ndarray,
+    low: np.ndarray,
+    size: float,
+    sides: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The chosen points by their cells: where those of each begin, and all of them."""
+    first = np.zeros(sides[0] * sides[1] * sides[2] + 1, np.int64)
+    cell = np.zeros(len(chosen), np.int64)
+    for place in range(len(chosen)):
+        cell[place] = _cell(points[chosen[place]], low, size, sides)
+        first[cell[place] + 1] += 1
+    for number in range(len(first) - 1):
+        first[number + 1] += first[number]
+    order, following = np.zeros(len(chosen), np.int64), first.copy()
+    for place in range(len(chosen)):
+        order[following[cell[place]]] = chosen[place]
+        following[cell[place]] += 1
+    return first, order
+
+
+@njit(cache=True)
+@no_type_check
+def near(
+    points: np.ndarray, seeds: np.ndarray, radius: float, found: np.ndarray
+) -> None:
+    """Mark the points that are within a radius of a seed.
+
+    Args:
+        points: many, in r0.
+        seeds: few; one that is not finite is near nobody.
+        radius: in r0.
+        found: of each point. Written.
+    """
+    known = np.zeros(len(seeds), np.bool_)
+    for k in range(len(seeds)):
+        known[k] = np.isfinite(seeds[k]).all()
+    box = np.full((2, 3), math.inf)
+    box[1] = -math.inf
+    _box_of(seeds, known, box)
+    found[:] = False
+    if not known.any():
+        return
+    box[0] -= radius
+    box[1] += radius
+    low, size, sides = _cells(box, _SLACK * radius)
+    first, order = _sort(seeds, np.flatnonzero(known), low, size, sides)
+    sorted_seeds = seeds[order]
+    steps = _rows(sides)
+    square = radius * radius
+    for i in range(len(points)):
+        if not _inside(points[i], box):
+            continue
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        own = _cell(points[i], low, size, sides)
+        for way in range(9):
+            cell = own + steps[way]
+            for k in range(first[cell], first[cell + 3]):
+                dx = x - sorted_seeds[k, 0]
+                dy = y - sorted_seeds[k, 1]
+                dz = z - sorted_seeds[k, 2]
+                if dx * dx + dy * dy + dz * dz <= square:
+                    found[i] = True
+                    break
+            if found[i]:
+                break
+
+
+@njit(cache=True)
+@no_type_check
+def differ(
+    position: np.ndarray,
+    species: np.ndarray,
+    alive: np.ndarray,
+    position_before: np.ndarray,
+    species_before: np.ndarray,
+    alive_before: np.ndarray,
+    changed: np.ndarray,
+) -> int:
+    """Mark the particles of which anything is another than before; how many they are.
+
+    Args:
+        position: of all, in r0.
+        species: of all.
+        alive: which are not padding.
+        position_before: where they were, in r0.
+        species_before: what they were.
+        alive_before: which were alive.
+        changed: whether anything is another, or no number. Written.
+    """
+    count = 0
+    for i in range(len(position)):
+        same = (species[i] == species_before[i]) & (alive[i] == alive_before[i])
+        for axis in range(3):
+            same &= position[i, axis] == position_before[i, axis]
+        changed[i] = not same
+        count += not same
+    return count
+
+
+@njit(cache=True)
+@no_type_check
+def _touched(
+    points: np.ndarray,
+    chosen: np.ndarray,
+    low: np.ndarray,
+    size: float,
+    sides: np.ndarray,
+    touched: np.ndarray,
+) -> None:
+    """Mark the cells around those of the chosen points."""
+    steps = _rows(sides)
+    for i in range(len(points)):
+        if chosen[i]:
+            own = _cell(points[i], low, size, sides)
+            for way in range(9):
+                for k in range(3):
+                    touched[own + steps[way] + k] = True
+
+
+@njit(cache=True)
+@no_type_check
+def _gather(
+    cell: int,
+    steps: np.ndarray,
+    first: np.ndarray,
+    position: np.ndarray,
+    tumour: np.ndarray,
+    others: np.ndarray,
+    stiffer: np.ndarray,
+) -> int:
+    """Put what is in the cells around one in a row; how many they are.
+
+    Args:
+        cell: the one.
+        steps: from it to the others, see `_rows`.
+        first: of each cell.
+        position: in the order of the cells.
+        tumour: likewise.
+        others: coordinates of those around. Written.
+        stiffer: which of them are of the tumour. Written.
+    """
+    count = 0
+    for way in range(9):
+        row = cell + steps[way]
+        for place in range(first[row], first[row + 3]):
+            for axis in range(3):
+                others[axis, count] = position[place, axis]
+            stiffer[count] = tumour[place]
+            count += 1
+    return count
+
+
+@njit(cache=True)
+@no_type_check
+def _most_around(first: np.ndarray, touched: np.ndarray, steps: np.ndarray) -> int:
+    """Points in a touched cell and those around it, at most."""
+    most = 0
+    for cell in range(len(touched)):
+        if touched[cell] and first[cell + 1] > first[cell]:
+            count = 0
+            for way in range(9):
+                row = cell + steps[way]
+                count += first[row + 3] - first[row]
+            most = max(most, count)
+    return most
+
+
+@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@no_type_check
+def _add_up(
+    point: np.ndarray,
+    tumour: bool,
+    others: np.ndarray,
+    stiffer: np.ndarray,
+    count: int,
+    law: np.ndarray,
+    square: np.ndarray,
+    close: np.ndarray,
+    force: np.ndarray,
+) -> None:
+    """Write the force on a point by what may be near; as `jaxgrow.kernels.pair`."""
+    adhesion, stiffness, cutoff = law[0], law[2], law[3]
+    low, blend, edge, tail = branches(law[1], cutoff)
+    x, y, z = point[0], point[1], point[2]
+    for k in range(count):
+        dx, dy, dz = x - others[0, k], y - others[1, k], z - others[2, k]
+        square[k] = dx * dx + dy * dy + dz * dz
+    found = 0
+    for k in range(count):
+        close[found] = k
+        found += (square[k] <= cutoff * cutoff) & (square[k] != 0.0)
+    fx, fy, fz = 0.0, 0.0, 0.0
+    for place in range(found):
+        k = close[place]
+        u = math.sqrt(square[k])
+        ratio = a2(u, adhesion, low, blend, edge, tail) / u
+        ratio *= stiffness if tumour & stiffer[k] else 1.0
+        fx += ratio * (x - others[0, k])
+        fy += ratio * (y - others[1, k])
+        fz += ratio * (z - others[2, k])
+    force[0], force[1], force[2] = fx, fy, fz
+
+
+@njit(cache=True)
+@no_type_check
+def renew(
+    position: np.ndarray,
+    tumour: np.ndarray,
+    alive: np.ndarray,
+    before: np.ndarray,
+    alive_before: np.ndarray,
+    changed: np.ndarray,
+    law: np.ndarray,
+    force: np.ndarray,
+) -> None:
+    """Write the pair forces on all particles near those that changed, old and new.
+
+    Only where one of them is, or was, within the cutoff is a force another one now.
+
+    Args:
+        position: of all particles, in r0.
+        tumour: which are of the tumour.
+        alive: which are not padding.
+        before: where they were when the forces were right.
+        alive_before: which were alive then.
+        changed: those of which anything is another now.
+        law: as of `jaxgrow.kernels.pair.add_up`.
+        force: in F(0); right for what was before. Written.
+    """
+    is_here, was_there = changed & alive, changed & alive_before
+    for i in np.flatnonzero(changed):
+        is_here[i] &= np.isfinite(position[i]).all()
+        was_there[i] &= np.isfinite(before[i]).all()
+        force[i] = math.nan if alive[i] and not is_here[i] else 0.0
+    box = np.full((2, 3), math.inf)
+    box[1] = -math.inf
+    _box_of(position, is_here, box)
+    _box_of(before, was_there, box)
+    if not box[0, 0] <= box[1, 0]:
+        return
+    reach = _SLACK * law[3]
+    concerned, wide = box.copy(), box.copy()
+    for axis in range(3):
+        concerned[0, axis] -= reach
+        concerned[1, axis] += reach
+        wide[0, axis] -= 2 * reach
+        wide[1, axis] += 2 * reach
+    members = alive.copy()
+    for i in range(len(position)):
+        members[i] &= _inside(position[i], wide)
+    low, size, sides = _cells(wide, reach)
+    first, order = _sort(position, np.flatnonzero(members), low, size, sides)
+    own, kind, steps = position[order], tumour[order], _rows(sides)
+    touched = np.zeros(len(first) - 1, np.bool_)
+    _touched(position, is_here, low, size, sides, touched)
+    _touched(before, was_there, low, size, sides, touched)
+    most = _most_around(first, touched, steps)
+    others, stiffer = np.zeros((3, most)), np.zeros(most, np.bool_)
+    square, close = np.zeros(most), np.zeros(most + 1, np.int64)
+    for cell in range(len(touched)):
+        if not touched[cell] or first[cell + 1] == first[cell]:
+            continue
+        count = _gather(cell, steps, first, own, kind, others, stiffer)
+        for place in range(first[cell], first[cell + 1]):
+            # farther out not all neighbours are members, and nothing changed
+            if _inside(own[place], concerned):
+                _add_up(
+                    own[place],
+                    kind[place],
+                    others,
+                    stiffer,
+                    count,
+                    law,
+                    square,
+                    close,
+                    force[order[place]],
+                )
