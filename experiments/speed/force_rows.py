@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float
@@ -25,7 +24,7 @@ SAMPLE = 300
 """Particles whose force is computed in extended precision too."""
 
 
-@eqx.filter_jit
+@jax.jit
 def forces(problem: Problem, lists: Lists) -> Any:
     """What the relaxation of jaxgrow evaluates in every step."""
     return problem.forces(problem.nodes(), lists)
@@ -35,7 +34,7 @@ REPEATED = 64
 """Evaluations within a program, for one without the call of the program."""
 
 
-@eqx.filter_jit
+@jax.jit
 def repeated(problem: Problem, lists: Lists) -> Any:
     """Forces so many times, as a relaxation evaluates them: within a compiled loop."""
 
