@@ -19,6 +19,15 @@ from jaxgrow.energy.contact import (
     reach,
     SPHERES_PER_CONTACT,
 )
+from jaxgrow.equilibrium.looped_lists import (
+    collisions_by_loops,
+    fitting,
+    is_looped,
+    LEAST_CANDIDATES,
+    LEAST_COLLISIONS,
+    LEAST_CONTACTS,
+    listed_by_loops,
+)
 from jaxgrow.equilibrium.problem import CANDIDATE_SKIN, CONTACT_SKIN, Lists, Problem
 from jaxgrow.state import Membrane, Particles
 
@@ -27,10 +36,6 @@ CollisionLister: TypeAlias = Callable[
     [Float[Array, "m 3"], Collisions | None], Collisions
 ]
 """Lists on the host what may collide, given the vertices and the list before."""
-
-_LEAST_CONTACTS = 1024
-_LEAST_CANDIDATES = 4096
-_LEAST_COLLISIONS = 128
 
 _count_contacts = eqx.filter_jit(count_contacts)
 
@@ -82,43 +87,33 @@ def allocate_contacts(
     if before is None:
         before = Lists(None, None)
     if problem.particles is not None and problem.membrane is not None:
-        both = problem.both()
-        radius = jnp.asarray(reach(problem.parameters))
-        wide = radius + CANDIDATE_SKIN
-        spheres = int(_count_contacts(*both, wide))
-        candidates = _fitting(
-            lambda room: _list_contacts(*both, wide, capacity=room),
-            spheres // SPHERES_PER_CONTACT,
-            before.candidates,
-            _LEAST_CANDIDATES,
-        )
-        contacts = _fitting(
-            lambda room: _narrow_contacts(
-                candidates, *both, radius + CONTACT_SKIN, capacity=room
-            ),
-            0,
-            before.contacts,
-            _LEAST_CONTACTS,
-        )
+        listed = listed_by_loops if is_looped(problem) else _listed_by_programs
+        candidates, contacts = listed(problem, before)
     known = before.collisions, before.encounters
     return Lists(neighbors, contacts, candidates, *known)
 
 
-def _fitting(
-    make: Callable[[int], Contacts], size: int, before: Contacts | None, least: int
-) -> Contacts:
-    """A list with room for `size`, or as much more as it needs.
-
-    Where the one before was too small, for positions that were given up since, it has
-    more room than that in any case.
-    """
-    if before is not None:
-        least = before.particle.shape[0]
-        size = max(size, least + int(before.overflow))
-    capacity = capacity_for(size, least)
-    while bool((made := make(capacity)).overflow):
-        capacity = capacity_for(capacity + 1, least)
-    return made
+def _listed_by_programs(problem: Problem, before: Lists) -> tuple[Contacts, Contacts]:
+    """The wide list of contacts and the near one."""
+    both = problem.both()
+    radius = jnp.asarray(reach(problem.parameters))
+    wide = radius + CANDIDATE_SKIN
+    spheres = int(_count_contacts(*both, wide))
+    candidates = fitting(
+        lambda room: _list_contacts(*both, wide, capacity=room),
+        spheres // SPHERES_PER_CONTACT,
+        before.candidates,
+        LEAST_CANDIDATES,
+    )
+    contacts = fitting(
+        lambda room: _narrow_contacts(
+            candidates, *both, radius + CONTACT_SKIN, capacity=room
+        ),
+        0,
+        before.contacts,
+        LEAST_CONTACTS,
+    )
+    return candidates, contacts
 
 
 def fits(problem: Problem, lists: Lists) -> bool:
@@ -185,12 +180,18 @@ def _near_collisions(
     problem: Problem, found: Collisions, before: Collisions | None
 ) -> Collisions:
     """What is near of the host's list, with room for it and for what was before."""
-    room = _LEAST_COLLISIONS
+    looped = is_looped(problem)
+    room = LEAST_COLLISIONS
     if before is not None:
         room = capacity_for(before.vertex.shape[0] + bool(before.full), room)
-    while bool((made := _collisions(problem, found, room=room)).full):
+    while True:
+        if looped:
+            made = collisions_by_loops(problem, found, room)
+        else:
+            made = _collisions(problem, found, room=room)
+        if not bool(made.full):
+            return made
         room = capacity_for(room + 1, room)
-    return made
 
 
 def stale(lists: Lists) -> Lists:

@@ -34,15 +34,6 @@ from jaxgrow.results import Result
 from jaxgrow.state import Nodes, Species
 
 
-def is_looped(problem: Problem) -> bool:
-    """Whether there is a loop for this problem: on a processor, in 64 bits."""
-    if not (problem.dtype == jnp.float64 and registered("descent")):
-        return False
-    nodes = problem.particles or problem.membrane
-    where = jax.tree.leaves(nodes)[0].devices()
-    return all(device.platform == "cpu" for device in where)
-
-
 class _Changed(NamedTuple):
     """What the loop changes, see `jaxgrow.kernels.layout`."""
 

@@ -14,7 +14,8 @@ from jaxgrow.equilibrium.euler import Euler
 from jaxgrow.equilibrium.fire import FIRE
 from jaxgrow.equilibrium.lbfgs import LBFGS
 from jaxgrow.equilibrium.listing import allocate_lists, CollisionLister, prepared
-from jaxgrow.equilibrium.looped import descend_by_loop, is_looped
+from jaxgrow.equilibrium.looped import descend_by_loop
+from jaxgrow.equilibrium.looped_lists import is_looped
 from jaxgrow.equilibrium.newton import polish
 from jaxgrow.equilibrium.problem import Lists, Problem
 from jaxgrow.equilibrium.serial import sweep

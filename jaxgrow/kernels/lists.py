@@ -169,7 +169,7 @@ def _relist_contacts(
     moved += _farthest(points, wide.touched, everyone)[0]
     if not moved <= bounds.candidate_radius - bounds.contact_radius:
         vertices = points[: len(wide.touched)]
-        fits = list_all(
+        found = list_all(
             particles,
             alive,
             vertices,
@@ -180,12 +180,12 @@ def _relist_contacts(
         )
         _keep(particles, alive, wide.touching)
         _keep(points, everyone, wide.touched)
-        counts[FULL_CANDIDATES] |= not fits
+        counts[FULL_CANDIDATES] |= found > len(wide.contacts.real)
     radius, room = bounds.contact_radius, listed.contacts
-    fits = find_contacts(wide.contacts, particles, points, radius, room)
+    found = find_contacts(wide.contacts, particles, points, radius, room)
     _keep(particles, alive, listed.touching)
     _keep(points, everyone, listed.touched)
-    counts[FULL_CONTACTS] |= not fits
+    counts[FULL_CONTACTS] |= found > len(room.real)
 
 
 @njit(cache=True)
@@ -208,8 +208,7 @@ def _relist_collisions(
         return
     counts[FOUND] += 1
     scale, least, skin = laws.collision[0], bounds.least, bounds.collision_skin
-    fits = find_collisions(
-        wide.collisions, points, scale, least, skin, listed.collisions
-    )
+    room = listed.collisions
+    found = find_collisions(wide.collisions, points, scale, least, skin, room)
     _keep(points, everyone, listed.collided)
-    counts[FULL_COLLISIONS] |= not fits
+    counts[FULL_COLLISIONS] |= found > len(room.vertex)

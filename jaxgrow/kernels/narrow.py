@@ -24,7 +24,7 @@ def find_contacts(
     vertices: np.ndarray,
     radius: float,
     near: Touching,
-) -> bool:
+) -> int:
     """Write those that are closer than a radius, in their order.
 
     Args:
@@ -35,7 +35,7 @@ def find_contacts(
         near: the list; written, with padding behind.
 
     Returns:
-        Whether they had room.
+        How many they are, listed or not.
     """
     room, count, pairs = len(near.real), 0, len(wide.real)
     while pairs > 0 and not wide.real[pairs - 1]:
@@ -53,7 +53,7 @@ def find_contacts(
                 near.real[count] = True
             count += 1
     pad(near, count, len(position))
-    return count <= room
+    return count
 
 
 @njit(cache=True, fastmath=EXACT, error_model="numpy")
@@ -65,7 +65,7 @@ def find_collisions(
     least: float,
     skin: float,
     near: Pairs,
-) -> bool:
+) -> int:
     """Write those that matter until two vertices have moved by a skin together.
 
     Args:
@@ -77,7 +77,8 @@ def find_collisions(
         near: the list; written, with padding behind.
 
     Returns:
-        Whether they had room.
+        How many pairs of a vertex and a triangle they are, listed or not, or half as
+        many as pairs of edges if that is more.
     """
     room, count, pairs = len(near.vertex), 0, len(wide.vertex)
     while pairs > 0 and not wide.vertex_margin[pairs - 1] > 0.0:
@@ -98,7 +99,7 @@ def find_collisions(
     for pair in range(count, room):
         near.vertex[pair], near.corners[pair] = len(points) - 1, 0
         near.apart[pair], near.vertex_margin[pair] = False, 0.0
-    fits, room, count = count <= room, len(near.edges), 0
+    most, room, count = count, len(near.edges), 0
     between = np.zeros(6)
     for pair in range(len(wide.edges)):
         margin = wide.edge_margin[pair]
@@ -113,4 +114,4 @@ def find_collisions(
             count += 1
     for pair in range(count, room):
         near.edges[pair], near.edge_margin[pair] = 0, 0.0
-    return fits and count <= room
+    return max(most, (count + 1) // 2)

@@ -144,7 +144,7 @@ def list_all(
     face_alive: np.ndarray,
     radius: float,
     listed: Touching,
-) -> bool:
+) -> int:
     """Write all pairs closer than a radius, by particle, then by triangle.
 
     Spheres around the triangles leave candidates, exact distances decide.
@@ -159,7 +159,7 @@ def list_all(
         listed: the list; written, with padding behind.
 
     Returns:
-        Whether they had room.
+        How many they are, listed or not.
     """
     spheres = _spheres(vertices, faces, face_alive, radius)
     owner, face_of = _in_spheres(position, alive, spheres, radius)
@@ -179,7 +179,7 @@ def list_all(
                 listed.real[count] = True
             count += 1
     pad(listed, count, len(position))
-    return count <= room
+    return count
 
 
 @njit(cache=True)

@@ -11,7 +11,8 @@ from jaxgrow.energy.contact import contact_distances, reach
 from jaxgrow.equilibrium.descent import descend
 from jaxgrow.equilibrium.lbfgs import LBFGS
 from jaxgrow.equilibrium.listing import allocate_lists, prepared
-from jaxgrow.equilibrium.looped import descend_by_loop, is_looped
+from jaxgrow.equilibrium.looped import descend_by_loop
+from jaxgrow.equilibrium.looped_lists import is_looped
 from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.relax import relax
 from jaxgrow.mesh.surface import Surface
@@ -305,5 +306,5 @@ def test_loops_are_used_on_processors_in_64_bits_only(monkeypatch):
         lambda x: x.astype(jnp.float32) if x.dtype == jnp.float64 else x, problem
     )
     assert not is_looped(single)
-    monkeypatch.setattr("jaxgrow.equilibrium.looped.registered", lambda _: False)
+    monkeypatch.setattr("jaxgrow.equilibrium.looped_lists.registered", lambda _: False)
     assert not is_looped(problem)

@@ -1,0 +1,123 @@
+"""Lists of contacts and collisions made by loops that the host calls.
+
+By XLA every size of a list is a program more, and these are dear to load.
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxgrow.capacity import capacity_for
+from jaxgrow.energy.collision import Collisions
+from jaxgrow.energy.contact import Contacts, reach
+from jaxgrow.equilibrium.problem import (
+    CANDIDATE_SKIN,
+    COLLISION_SKIN,
+    CONTACT_SKIN,
+    LEAST_LISTED,
+    Lists,
+    Problem,
+)
+from jaxgrow.kernels import layout, loops
+from jaxgrow.kernels.ffi import registered
+from jaxgrow.transfer import get, get_number
+
+
+LEAST_CONTACTS, LEAST_CANDIDATES, LEAST_COLLISIONS = 1024, 4096, 256
+"""Room of lists to begin with."""
+
+
+def is_looped(problem: Problem) -> bool:
+    """Whether there is a loop for this problem: on a processor, in 64 bits."""
+    if not (problem.dtype == jnp.float64 and registered("descent")):
+        return False
+    nodes = problem.particles or problem.membrane
+    where = jax.tree.leaves(nodes)[0].devices()
+    return all(device.platform == "cpu" for device in where)
+
+
+def fitting(
+    make: Callable[[int], Contacts], size: int, before: Contacts | None, least: int
+) -> Contacts:
+    """A list with room for `size`, or as much more as it needs.
+
+    Where the one before was too small, for positions that were given up since, it has
+    more room than that in any case.
+    """
+    if before is not None:
+        least = before.particle.shape[0]
+        size = max(size, least + int(before.overflow))
+    capacity = capacity_for(size, least)
+    while bool((made := make(capacity)).overflow):
+        capacity = capacity_for(capacity + 1, least)
+    return made
+
+
+def listed_by_loops(problem: Problem, before: Lists) -> tuple[Contacts, Contacts]:
+    """The wide list of contacts and the near one, with room as of the lists before."""
+    particles, membrane = problem.both()
+    kernel, radius = loops("anew"), get_number(reach(problem.parameters))
+    position, vertices = _own(particles.position), _own(membrane.vertices)
+    surface = vertices, _own(membrane.faces), _own(membrane.face_alive)
+    given = position, _own(particles.alive), *surface, radius + CANDIDATE_SKIN
+
+    def listed(room: int) -> Contacts:
+        return _contacts(problem, *kernel.contacts(*given, room))
+
+    _, count = kernel.contacts(*given, 0)
+    candidates = fitting(listed, count, before.candidates, LEAST_CANDIDATES)
+    wide = layout.Touching(
+        *(_own(candidates.particle), _own(candidates.face)),
+        *(_own(candidates.corners), _own(candidates.real)),
+    )
+    within = wide, position, vertices, radius + CONTACT_SKIN
+
+    def narrowed(room: int) -> Contacts:
+        return _contacts(problem, *kernel.near_contacts(*within, room))
+
+    _, count = kernel.near_contacts(*within, 0)
+    return candidates, fitting(narrowed, count, before.contacts, LEAST_CONTACTS)
+
+
+def collisions_by_loops(problem: Problem, wide: Collisions, room: int) -> Collisions:
+    """As `Problem.collisions`."""
+    membrane = problem.membrane
+    assert membrane is not None
+    points = _own(jnp.concatenate([membrane.vertices, wide.still]))
+    pairs = layout.Pairs(
+        *(_own(wide.vertex), _own(wide.corners), _own(wide.apart)),
+        *(_own(wide.vertex_margin), _own(wide.edges), _own(wide.edge_margin)),
+    )
+    scale = get_number(problem.parameters.collision_range)
+    found, count = loops("anew").near_collisions(
+        pairs, points, scale, LEAST_LISTED, COLLISION_SKIN, room
+    )
+    vertex, corners, apart, vertex_margin, edges, edge_margin = found
+    return Collisions(
+        *(wide.still, jnp.asarray(vertex), jnp.asarray(corners)),
+        jnp.asarray(apart.view(bool)),
+        *map(jnp.asarray, (vertex_margin, edges, edge_margin)),
+        reference=membrane.vertices,
+        skin=jnp.asarray(COLLISION_SKIN, wide.skin.dtype),
+        stale=jnp.zeros((), bool),
+        full=wide.full | (count > room),
+    )
+
+
+def _contacts(problem: Problem, found: layout.Touching, count: int) -> Contacts:
+    """A list on the device, of where the problem is."""
+    particles, membrane = problem.both()
+    return Contacts(
+        *(jnp.asarray(found.particle), jnp.asarray(found.face)),
+        *(jnp.asarray(found.corners), jnp.asarray(found.real.view(bool))),
+        reference=(particles.position, membrane.vertices),
+        overflow=jnp.asarray(count > len(found.real)),
+    )
+
+
+def _own(array: Array) -> layout.Array:
+    """A copy that a loop takes as its own, flags as bytes."""
+    rows = get(array).copy()
+    return rows.view("uint8") if rows.dtype == bool else rows

@@ -1,0 +1,80 @@
+"""Lists of a given size made by loops that the host calls: no program is compiled.
+
+Each function returns a list and how many pairs there are, listed or not.
+"""
+
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+from jaxgrow.kernels.layout import Pairs, Touching
+from jaxgrow.kernels.narrow import find_collisions, find_contacts
+from jaxgrow.kernels.touching import list_all
+
+
+@njit(cache=True)
+@no_type_check
+def _touching(room: int) -> Touching:
+    return Touching(
+        np.zeros(room, np.int32),
+        np.zeros(room, np.int32),
+        np.zeros((3, room), np.int64),
+        np.zeros(room, np.uint8),
+    )
+
+
+@njit(cache=True)
+@no_type_check
+def contacts(
+    position: np.ndarray,
+    alive: np.ndarray,
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    face_alive: np.ndarray,
+    radius: float,
+    room: int,
+) -> tuple[Touching, int]:
+    """All pairs closer than a radius, see `jaxgrow.kernels.touching.list_all`."""
+    listed = _touching(room)
+    given = position, alive, vertices, faces, face_alive
+    return listed, list_all(*given, radius, listed)
+
+
+@njit(cache=True)
+@no_type_check
+def near_contacts(
+    wide: Touching,
+    position: np.ndarray,
+    vertices: np.ndarray,
+    radius: float,
+    room: int,
+) -> tuple[Touching, int]:
+    """Those of a list, see `jaxgrow.kernels.narrow.find_contacts`."""
+    near = _touching(room)
+    return near, find_contacts(wide, position, vertices, radius, near)
+
+
+@njit(cache=True)
+@no_type_check
+def near_collisions(
+    wide: Pairs,
+    points: np.ndarray,
+    scale: float,
+    least: float,
+    skin: float,
+    room: int,
+) -> tuple[Pairs, int]:
+    """Those of a list, see `jaxgrow.kernels.narrow.find_collisions`.
+
+    Of pairs of edges there is room for twice as many; they count for half.
+    """
+    near = Pairs(
+        np.zeros(room, np.int64),
+        np.zeros((room, 3), np.int64),
+        np.zeros(room, np.uint8),
+        np.zeros(room),
+        np.zeros((2 * room, 4), np.int64),
+        np.zeros(2 * room),
+    )
+    return near, find_collisions(wide, points, scale, least, skin, near)
