@@ -60,6 +60,7 @@ RESULTS = Path(__file__).parent / "results"
 ROWS: dict[str, Callable[[Options], Iterator[Row]]] = {
     "pair-force-10k": force_rows.pair_force_10k,
     "pair-force-100k": force_rows.pair_force_100k,
+    "lists-10k": force_rows.lists_10k,
     "contact-force": force_rows.contact_force,
     "relax-10k": relaxation_rows.relax_ball,
     "division": relaxation_rows.division,

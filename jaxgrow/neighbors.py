@@ -128,7 +128,7 @@ def _filled(
 ) -> Neighbors:
     if relist:
         wide = cells.relist(wide, position)
-    listed, most = _near(position, wide.idx, room)
+    listed, most = find_near(position, wide.idx, room)
     return Neighbors(listed, position, most > room, wide)
 
 
@@ -149,7 +149,7 @@ def rebuilt(
             lambda: cells.relist(neighbors.wide, position),
         )
         room = neighbors.listed.shape[0]
-        listed, most = _near(position, wide.idx, room)
+        listed, most = find_near(position, wide.idx, room)
         return Neighbors(listed, position, neighbors.full | (most > room), wide)
 
     def patch_or_make() -> Neighbors:
@@ -246,7 +246,7 @@ def _of_part(
     position: Float[Array, "q 3"], still: Bool[Array, " q"], wide: Any, room: int
 ) -> Neighbors:
     wide = cells.relist(wide, position, still)
-    listed, most = _near(position, wide.idx, room)
+    listed, most = find_near(position, wide.idx, room)
     return Neighbors(listed, position, most > room, wide)
 
 
@@ -255,7 +255,7 @@ def update(neighbors: Neighbors, position: Float[Array, "n 3"]) -> Neighbors:
     return rebuilt(neighbors, position, outgrown(neighbors, position))
 
 
-def _near(
+def find_near(
     position: Float[Array, "n 3"], wide: Int[Array, "n w"], room: int
 ) -> tuple[Int[Array, "k n"], Int[Array, ""]]:
     """Those of the wide list within the near one's radius, and the most of a particle.

@@ -7,8 +7,10 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from jaxgrow import cells
 from jaxgrow.equilibrium.listing import allocate_lists
 from jaxgrow.equilibrium.problem import Lists, Problem
+from jaxgrow.neighbors import find_near
 from jaxgrow.state import Nodes
 from jaxgrow.transfer import get
 
@@ -96,6 +98,51 @@ def pair_force_10k(options: Options) -> Iterator[Row]:
 def pair_force_100k(options: Options) -> Iterator[Row]:
     """Pair forces of 100 000 particles."""
     return pair_force(options, 100_000)
+
+
+@jax.jit
+def near_anew(problem: Problem, lists: Lists) -> Any:
+    """Who is near, found in the wide list."""
+    assert problem.particles is not None
+    assert lists.neighbors is not None
+    room = lists.neighbors.listed.shape[0]
+    return find_near(problem.particles.position, lists.neighbors.wide.idx, room)
+
+
+@jax.jit
+def wide_anew(problem: Problem, lists: Lists) -> Any:
+    """The wide list, made by cells of space."""
+    assert problem.particles is not None
+    assert lists.neighbors is not None
+    return cells.relist(lists.neighbors.wide, problem.particles.position).idx
+
+
+def lists_10k(options: Options) -> Iterator[Row]:
+    """What it costs to make the lists of 10 000 particles anew, beside their forces."""
+    count = 1000 if options.quick else 10_000
+    position = dense_ball(count, np.random.default_rng(0), spacing=LOOSE)
+    problem = Problem.of(particles_of(position), None)
+    lists = allocate_lists(problem)
+    measured = measure_in_turns(
+        {
+            "forces": lambda _: forces(problem, lists),
+            "near": lambda _: near_anew(problem, lists),
+            "wide": lambda _: wide_anew(problem, lists),
+        },
+        options,
+    )
+    listed, _ = measured.outcomes["near"][-1]
+    assert lists.neighbors is not None
+    wanted = np.sort(get(lists.neighbors.listed), axis=0)
+    wrong = float((np.sort(get(listed), axis=0) != wanted).sum())
+    for name, what in (("near", "near neighbours found"), ("wide", "wide list made")):
+        yield Row(
+            f"{name}-list-10k",
+            f"{what} anew, over one evaluation of the pair forces",
+            **measured.compare(name, "forces"),
+            errors={"entries that differ": wrong},
+            details={"particles": count},
+        )
 
 
 def contact_force(options: Options) -> Iterator[Row]:

@@ -170,8 +170,8 @@ def _dot(a: tuple, b: tuple) -> float:
 @njit(cache=True, fastmath=EXACT, error_model="numpy")
 @no_type_check
 def closest_of_segments(
-    a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, found: np.ndarray
-) -> None:
+    a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray
+) -> tuple[float, float, float, float, float, float]:
     """Where two segments are closest, as `jaxgrow.energy.distance.closest_shares`.
 
     Args:
@@ -179,8 +179,10 @@ def closest_of_segments(
         b: its other end.
         c: one end of the second.
         d: its other end.
-        found: vector from the second to the first, square of its length, and the shares
-            from a to b and from c to d; written.
+
+    Returns:
+        Vector from the second to the first, square of its length (infinite for what is
+        nowhere), and the shares from a to b and from c to d.
     """
     one = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     other = d[0] - c[0], d[1] - c[1], d[2] - c[2]
@@ -188,7 +190,7 @@ def closest_of_segments(
     square, along, square_other = _dot(one, one), _dot(one, other), _dot(other, other)
     on_one, on_other = _dot(one, gap), _dot(other, gap)
     determinant = square * square_other - along * along
-    best, share, other_share = np.inf, 0.0, 0.0
+    found = 0.0, 0.0, 0.0, np.inf, 0.0, 0.0
     for candidate in range(5):
         if candidate == 0:
             if not determinant > 64.0 * _EPSILON * square * square_other:
@@ -209,7 +211,6 @@ def closest_of_segments(
         y = s * one[1] - t * other[1] - gap[1]
         z = s * one[2] - t * other[2] - gap[2]
         near = x * x + y * y + z * z
-        if near < best:
-            best, share, other_share = near, s, t
-            found[0], found[1], found[2] = x, y, z
-    found[3], found[4], found[5] = best, share, other_share
+        if near < found[3]:
+            found = x, y, z, near, s, t
+    return found

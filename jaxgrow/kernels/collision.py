@@ -107,14 +107,13 @@ def _add_edges(
 ) -> None:
     """Those of edges against edges: of m(sin²) b(u)."""
     scale, barrier, parallel = law[0], law[4], law[5]
-    found = np.zeros(6)
     for pair in range(len(pairs.edges)):
         margin = pairs.edge_margin[pair]
         if not margin > 0.0:
             continue
         ends = pairs.edges[pair]
         a, b, c, d = ends[0], ends[1], ends[2], ends[3]
-        closest_of_segments(points[a], points[b], points[c], points[d], found)
+        found = closest_of_segments(points[a], points[b], points[c], points[d])
         length = math.sqrt(found[3])
         for node in (a, b, c, d):
             clear[node] = min(clear[node], length)

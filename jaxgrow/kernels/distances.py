@@ -1,7 +1,4 @@
-"""Exact distances of one pair, as in `jaxgrow.mesh.proximity`, for compiled loops.
-
-As in `jaxgrow.kernels.frames`, changes here are not noticed by loops kept on disk.
-"""
+"""Exact distances of one pair, as in `jaxgrow.mesh.proximity`, for compiled loops."""
 
 import math
 from typing import no_type_check
@@ -9,8 +6,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-
-_PARALLEL = 64 * np.finfo(np.float64).eps
+from jaxgrow.kernels.closest import closest_of_segments
 
 
 @njit(cache=True, error_model="numpy")
@@ -85,41 +81,8 @@ def between(vertices: np.ndarray, a: int, b: int, c: int, d: int) -> float:
 
     See `jaxgrow.mesh.proximity.closest_on_segments`.
     """
-    ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
-    cx, cy, cz = vertices[c, 0], vertices[c, 1], vertices[c, 2]
-    ux, uy, uz = vertices[b, 0] - ax, vertices[b, 1] - ay, vertices[b, 2] - az
-    wx, wy, wz = vertices[d, 0] - cx, vertices[d, 1] - cy, vertices[d, 2] - cz
-    gx, gy, gz = cx - ax, cy - ay, cz - az
-    square = ux * ux + uy * uy + uz * uz
-    along = ux * wx + uy * wy + uz * wz
-    square_other = wx * wx + wy * wy + wz * wz
-    on_one = ux * gx + uy * gy + uz * gz
-    on_other = wx * gx + wy * gy + wz * gz
-    determinant = square * square_other - along * along
-
-    best = np.inf
-    if determinant > _PARALLEL * square * square_other:
-        s = (on_one * square_other - on_other * along) / determinant
-        t = (on_one * along - on_other * square) / determinant
-        if 0.0 < s < 1.0 and 0.0 < t < 1.0:
-            x, y, z = (
-                gx + t * wx - s * ux,
-                gy + t * wy - s * uy,
-                gz + t * wz - s * uz,
-            )
-            best = x * x + y * y + z * z
-    for end in range(4):
-        if end == 0:
-            s, t = 0.0, _share(-on_other, square_other)
-        elif end == 1:
-            s, t = 1.0, _share(along - on_other, square_other)
-        elif end == 2:
-            s, t = _share(on_one, square), 0.0
-        else:
-            s, t = _share(on_one + along, square), 1.0
-        x, y, z = gx + t * wx - s * ux, gy + t * wy - s * uy, gz + t * wz - s * uz
-        best = min(best, x * x + y * y + z * z)
-    return math.sqrt(best)
+    ends = vertices[a], vertices[b], vertices[c], vertices[d]
+    return math.sqrt(closest_of_segments(*ends)[3])
 
 
 @njit(cache=True, error_model="numpy")

@@ -100,15 +100,14 @@ def find_collisions(
         near.vertex[pair], near.corners[pair] = len(points) - 1, 0
         near.apart[pair], near.vertex_margin[pair] = False, 0.0
     most, room, count = count, len(near.edges), 0
-    between = np.zeros(6)
     for pair in range(len(wide.edges)):
         margin = wide.edge_margin[pair]
         if not margin > 0.0:
             continue
         ends = wide.edges[pair]
         a, b, c, d = points[ends[0]], points[ends[1]], points[ends[2]], points[ends[3]]
-        closest_of_segments(a, b, c, d, between)
-        if math.sqrt(between[3]) < max(scale * margin, least) + skin:
+        between = math.sqrt(closest_of_segments(a, b, c, d)[3])
+        if between < max(scale * margin, least) + skin:
             if count < room:
                 near.edges[count], near.edge_margin[count] = ends, margin
             count += 1
