@@ -13,13 +13,17 @@ from jaxgrow.transfer import get, get_particles
 from .errors import errors_of, gyration
 from .fire import FIRE
 from .lbfgs import relax_lbfgs, Relaxed
-from .measure import measure_in_turns, Options, Row
+from .measure import FEWEST, measure_in_turns, Options, Row
 
 
 TOLERANCE = 1e-4
 
-JAX_MD_UP_TO = 300
-"""Particles up to which jax-md grows the same cluster: of 1000 it takes minutes."""
+JAX_MD_UP_TO = 1000
+"""Particles up to which jax-md grows the same cluster."""
+
+MANY = 1000
+"""Particles from which on what takes minutes is measured once; of so many are the bars:
+for fewer, what a division costs apart from its forces decides."""
 
 PARKING = 4.0
 """Distance of slots that are not used yet, in r0."""
@@ -112,7 +116,8 @@ def grow_free(count: int, options: Options) -> Iterator[Row]:
         # capacities are those of the final state, with jax-md's own headroom
         fire = FIRE(final, (-radius, room))
         contenders["jax-md"] = lambda _: grow_jax_md(divisions, fire, radius)
-    measured = measure_in_turns(contenders, options.limited(), shortest=0.0)
+    limited = options.limited(1 if count >= MANY else FEWEST)
+    measured = measure_in_turns(contenders, limited, shortest=0.0)
     ends = {name: outcomes[-1] for name, outcomes in measured.outcomes.items()}
     growth = ends["jaxgrow"]
     ends["jaxgrow"] = Grown(
@@ -148,7 +153,7 @@ def grow_free(count: int, options: Options) -> Iterator[Row]:
         f"grow-{count}-over-numba",
         f"grow 1 to {count} free to 1e-4: jaxgrow over numba L-BFGS",
         **measured.compare("jaxgrow", "numba"),
-        bar=2.0,
+        bar=2.0 if count == MANY else None,
         **shared,
     )
     if "jax-md" in contenders:
@@ -156,7 +161,7 @@ def grow_free(count: int, options: Options) -> Iterator[Row]:
             f"grow-{count}-over-jax-md",
             f"grow 1 to {count} free to 1e-4: jax-md over jaxgrow",
             **measured.compare("jax-md", "jaxgrow"),
-            bar=15.0,
+            bar=15.0 if count == MANY else None,
             side="least",
             **shared,
         )

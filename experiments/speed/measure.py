@@ -20,7 +20,7 @@ from jaxgrow.report import versions
 FEWEST = 3
 """Repetitions of what takes longer than is waited for."""
 
-PATIENCE = 300.0
+PATIENCE = 200.0
 """Seconds after which what takes minutes is not measured again."""
 
 SHORTEST = 0.05
@@ -34,8 +34,8 @@ class Options:
     Attributes:
         quick: small scenes, for all rows within three minutes.
         repetitions: of every measurement, at least five.
-        patience: seconds after which a contender is not measured again, once it has
-            been three times.
+        patience: seconds after which a contender is not measured again.
+        fewest: repetitions of it in any case.
         device: platform of jaxgrow's computations.
         threads: that XLA may use; 0 for all.
     """
@@ -45,10 +45,11 @@ class Options:
     device: str = "cpu"
     threads: int = 1
     patience: float = math.inf
+    fewest: int = FEWEST
 
-    def limited(self) -> "Options":
+    def limited(self, fewest: int = FEWEST) -> "Options":
         """The same for contenders that may take minutes."""
-        return replace(self, patience=min(self.patience, PATIENCE))
+        return replace(self, patience=min(self.patience, PATIENCE), fewest=fewest)
 
 
 def configure(options: Options) -> None:
@@ -118,7 +119,8 @@ def measure_in_turns(
     measured = Measured(seconds, cpu_seconds, outcomes)
     for repetition in range(options.repetitions):
         for name, call in contenders.items():
-            if sum(seconds[name]) > options.patience and repetition >= FEWEST:
+            enough = repetition >= options.fewest
+            if enough and sum(seconds[name]) > options.patience:
                 continue
             outcome = None
             start, cpu = time.perf_counter(), time.process_time()
