@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxgrow import cells
-from jaxgrow.neighbors import _near, _near_by_scan, allocate
+from jaxgrow.neighbors import _near_by_scan, allocate, find_near
 
 
 pytest.importorskip("numba")
@@ -79,7 +79,7 @@ def test_near_list_is_that_of_the_program(room):
     wide = allocate(position).wide.idx
     moved = position + 0.1 * jnp.sin(7 * position)
     arguments = moved.at[5].set(jnp.nan), wide
-    found = jax.jit(_near, static_argnums=2)
+    found = jax.jit(find_near, static_argnums=2)
     assert "jaxgrow_near" in found.lower(*arguments, room).as_text()
     listed, most = found(*arguments, room)
     wanted, wanted_most = jax.jit(_near_by_scan, static_argnames="room")(
@@ -94,5 +94,5 @@ def test_lists_of_32_bits_are_left_to_xla():
     wide = cells.make(position, cells.Hash.of(300, RADIUS))
     single = position.astype(jnp.float32)
     said = jax.jit(cells.relist).lower(wide, single).as_text()
-    said += jax.jit(_near, static_argnums=2).lower(single, wide.idx, 32).as_text()
+    said += jax.jit(find_near, static_argnums=2).lower(single, wide.idx, 32).as_text()
     assert "jaxgrow_" not in said
