@@ -18,7 +18,11 @@ registered, and `registered` tells so.
 
 import ctypes
 import functools
+import os
+import subprocess
+import sys
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -36,6 +40,22 @@ def target(name: str) -> str:
     return f"jaxgrow_{name}"
 
 
+def _compile_apart(name: str) -> None:
+    """Compile a handler that is not on disk in a process of its own.
+
+    A process that compiles loops also holds those that they call as they are by
+    themselves, rounded otherwise than within a handler, and may take these: the first
+    growth after an installation would not be that of all others, bit for bit.
+    """
+    folder = Path(__file__).parent
+    kept = any((folder / "__pycache__").glob(f"{name}.handler-*.nbi"))
+    if not kept and os.access(folder, os.W_OK):
+        command = [sys.executable, "-c", f"import jaxgrow.kernels.{name}"]
+        path = os.pathsep.join([str(folder.parents[1]), *sys.path])
+        environment = {**os.environ, "PYTHONPATH": path}
+        subprocess.run(command, env=environment, capture_output=True, check=False)
+
+
 @functools.cache
 def registered(name: str) -> bool:
     """Whether XLA can call the handler of that name now; registered at the first call.
@@ -45,6 +65,7 @@ def registered(name: str) -> bool:
     """
     if not wanted():
         return False
+    _compile_apart(name)
     try:
         # not above: numba takes half a second to import
         handler: Any = import_module(f"jaxgrow.kernels.{name}").handler
