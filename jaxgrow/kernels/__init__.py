@@ -12,7 +12,6 @@ of it equal, to rounding. Each loop runs on one thread.
 import functools
 import hashlib
 import os
-from contextlib import suppress
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -30,54 +29,58 @@ def wanted() -> bool:
     """Whether loops may be used here: numba is installed, and nobody objects."""
     if os.environ.get(SWITCH, "") == "off" or find_spec("numba") is None:
         return False
-    with suppress(OSError):  # a folder that nobody may write to
-        forget_others(Path(__file__).parent)
+    try:
+        folder = kept_in()
+    # what numba raises where it can keep loops in no folder
+    except RuntimeError:
+        return False
+    forget_others(Path(__file__).parent, folder)
     return True
 
 
-def serve(array: np.ndarray) -> bool:
-    """Whether loops may be used on an array of the host: they know 64 bits."""
-    return wanted() and array.dtype == np.float64
+def kept_in() -> Path:
+    """Where numba keeps compiled loops: beside their source, or else as the user's.
+
+    Raises:
+        RuntimeError: there is no folder that it may write to.
+    """
+    # not above: numba takes half a second to import
+    return Path(import_module("jaxgrow.kernels.distances").to_triangle.stats.cache_path)
 
 
-def forget_others(folder: Path) -> bool:
+def forget_others(sources: Path, folder: Path) -> bool:
     """Delete the loops that were compiled from other sources.
 
-    Numba keeps compiled loops on disk beside their source, and looks for a newer one in
-    the same file only, not in those that it calls.
+    Numba looks for a newer source in the file of a loop only, not in those that it
+    calls, and files of an upgraded package may well have the same date and size.
 
     Args:
-        folder: of the sources.
+        sources: folder of them.
+        folder: where the loops are kept.
 
     Returns:
         Whether there may have been any.
     """
-    sources = hashlib.sha256()
-    for path in sorted(folder.glob("*.py")):
-        sources.update(path.name.encode() + b"\0" + path.read_bytes())
-    cache = folder / "__pycache__"
-    stamp = cache / "loops.sha256"
-    if stamp.exists() and stamp.read_text() == sources.hexdigest():
+    content = hashlib.sha256()
+    for path in sorted(sources.glob("*.py")):
+        content.update(path.name.encode() + b"\0" + path.read_bytes())
+    stamp = folder / "loops.sha256"
+    if stamp.exists() and stamp.read_text() == content.hexdigest():
         return False
-    for loop in (*cache.glob("*.nbi"), *cache.glob("*.nbc")):
+    for loop in (*folder.glob("*.nbi"), *folder.glob("*.nbc")):
         loop.unlink(missing_ok=True)
-    cache.mkdir(exist_ok=True)
-    stamp.write_text(sources.hexdigest())
+    folder.mkdir(parents=True, exist_ok=True)
+    stamp.write_text(content.hexdigest())
     return True
 
 
-@functools.cache
-def loops(name: str) -> Any:
+def loops(name: str, points: np.ndarray | None = None) -> Any:
     """The loops that the host calls itself; None where none may be used.
 
     Args:
         name: of a module of `jaxgrow.kernels`.
+        points: that they would work on; they know 64 bits only.
     """
-    if not wanted():
+    if points is not None and points.dtype != np.float64:
         return None
-    try:
-        # not above: numba takes half a second to import
-        return import_module(f"jaxgrow.kernels.{name}")
-    # numba loops that it can keep in no folder; then the host does without
-    except Exception:
-        return None
+    return import_module(f"jaxgrow.kernels.{name}") if wanted() else None

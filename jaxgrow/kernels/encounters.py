@@ -13,6 +13,9 @@ from numba import njit
 from jaxgrow.kernels import distances
 
 
+_Pairs = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""First and second of each pair, their distance, and whether they are apart."""
+
 _ROUNDING = 1.0 + 1e-12
 """Factor of a distance, so that no box leaves out what rounding brings within it."""
 
@@ -112,9 +115,30 @@ def _are_joined(first: np.ndarray, reached: np.ndarray, v: int, w: int) -> bool:
 
 @njit(cache=True)
 @no_type_check
-def _longer(array: np.ndarray) -> np.ndarray:
-    """The same with room for as many again."""
-    return np.append(array, np.zeros_like(array))
+def _no_pairs(room: int) -> _Pairs:
+    """Room for that many pairs."""
+    return (
+        np.zeros(room, np.int64),
+        np.zeros(room, np.int64),
+        np.zeros(room),
+        np.zeros(room, np.bool_),
+    )
+
+
+@njit(cache=True)
+@no_type_check
+def _put(
+    pairs: _Pairs, found: int, one: int, other: int, distance: float, far: bool
+) -> _Pairs:
+    """Pairs with another one after those found; in longer arrays, if these are full."""
+    firsts, seconds, distances_, fars = pairs
+    if found == len(firsts):
+        more = _no_pairs(found)
+        firsts, seconds = np.append(firsts, more[0]), np.append(seconds, more[1])
+        distances_, fars = np.append(distances_, more[2]), np.append(fars, more[3])
+    firsts[found], seconds[found] = one, other
+    distances_[found], fars[found] = distance, far
+    return firsts, seconds, distances_, fars
 
 
 @njit(cache=True, error_model="numpy")
@@ -127,7 +151,7 @@ def vertices_and_faces(
     reached: np.ndarray,
     apart: float,
     local: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+) -> _Pairs:
     """Pairs of a vertex and a face that are near.
 
     Args:
@@ -148,10 +172,7 @@ def vertices_and_faces(
     one, two = (axis + 1) % 3, (axis + 2) % 3
     order = np.argsort(vertices[:, axis])
     sorted_ = vertices[order, axis]
-    room = 8 * len(vertices) + 8
-    vertex, face = np.zeros(room, np.int64), np.zeros(room, np.int64)
-    distance, far = np.zeros(room), np.zeros(room, np.bool_)
-    found = 0
+    pairs, found = _no_pairs(8 * len(vertices) + 8), 0
     of_vertex = np.zeros(len(vertices) + 1, np.int64)
     low, high = np.zeros(3), np.zeros(3)
     for f in range(len(faces)):
@@ -178,16 +199,13 @@ def vertices_and_faces(
                 or _are_joined(first, reached, v, c)
             )
             if gap < (apart if is_far else local):
-                if found == len(vertex):
-                    vertex, face = _longer(vertex), _longer(face)
-                    distance, far = _longer(distance), _longer(far)
-                vertex[found], face[found] = v, f
-                distance[found], far[found] = gap, is_far
+                pairs = _put(pairs, found, v, f, gap, is_far)
                 of_vertex[v + 1] += 1
                 found += 1
     # faces ascend already; sorting by vertex keeps that
     for v in range(len(vertices)):
         of_vertex[v + 1] += of_vertex[v]
+    vertex, face, distance, far = pairs
     place = np.zeros(found, np.int64)
     for i in range(found):
         place[of_vertex[vertex[i]]] = i
@@ -206,7 +224,7 @@ def pairs_of_edges(
     reached: np.ndarray,
     apart: float,
     local: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+) -> _Pairs:
     """Pairs of edges that are near.
 
     Args:
@@ -243,10 +261,7 @@ def pairs_of_edges(
         for k in range(3):
             middle[k, i] = 0.5 * (vertices[ends[i, 0], k] + vertices[ends[i, 1], k])
     x, y, z = middle[0], middle[1], middle[2]
-    room = 8 * count + 8
-    longer, shorter = np.zeros(room, np.int64), np.zeros(room, np.int64)
-    distance, far = np.zeros(room), np.zeros(room, np.bool_)
-    found = 0
+    pairs, found = _no_pairs(8 * count + 8), 0
     for i in range(count):
         for j in range(i + 1, count):
             if low[j] > high[i]:
@@ -273,10 +288,7 @@ def pairs_of_edges(
                 or _are_joined(first, reached, b, d)
             )
             if gap < (apart if is_far else local):
-                if found == len(longer):
-                    longer, shorter = _longer(longer), _longer(shorter)
-                    distance, far = _longer(distance), _longer(far)
-                longer[found], shorter[found] = e, g
-                distance[found], far[found] = gap, is_far
+                pairs = _put(pairs, found, e, g, gap, is_far)
                 found += 1
+    longer, shorter, distance, far = pairs
     return longer[:found], shorter[:found], distance[:found], far[:found]

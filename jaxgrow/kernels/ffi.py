@@ -27,7 +27,7 @@ from typing import Any
 
 import jax
 
-from jaxgrow.kernels import wanted
+from jaxgrow.kernels import kept_in, wanted
 
 
 _new_capsule = ctypes.PYFUNCTYPE(
@@ -47,11 +47,9 @@ def _compile_apart(name: str) -> None:
     themselves, rounded otherwise than within a handler, and may take these: the first
     growth after an installation would not be that of all others, bit for bit.
     """
-    folder = Path(__file__).parent
-    kept = any((folder / "__pycache__").glob(f"{name}.handler-*.nbi"))
-    if not kept and os.access(folder, os.W_OK):
+    if not any(kept_in().glob(f"{name}.handler-*.nbi")):
         command = [sys.executable, "-c", f"import jaxgrow.kernels.{name}"]
-        path = os.pathsep.join([str(folder.parents[1]), *sys.path])
+        path = os.pathsep.join([str(Path(__file__).parents[2]), *sys.path])
         environment = {**os.environ, "PYTHONPATH": path}
         subprocess.run(command, env=environment, capture_output=True, check=False)
 

@@ -44,9 +44,8 @@ def intersecting_pairs(
         first, in ascending order.
     """
     first = len(faces) if first is None else first
-    if kernels.serve(vertices):
-        from jaxgrow.kernels import meeting as loops
-
+    loops = kernels.loops("meeting", vertices)
+    if loops is not None:
         apart, corner = loops.intersecting(vertices, faces, first)
     else:
         apart, corner = _intersecting(vertices, faces)

@@ -161,9 +161,8 @@ class Proximity:
                 "the mesh has no face; a distance to nothing is undefined."
             )
         self._vertices, self._faces, self._tree = vertices, faces, None
-        if kernels.serve(vertices):
-            from jaxgrow.kernels import nearest as loops
-
+        loops = kernels.loops("nearest", vertices)
+        if loops is not None:
             self._tree = loops.plant(vertices, faces)
 
     @cached_property
@@ -201,9 +200,8 @@ class Proximity:
         Float[np.ndarray, " n"], Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]
     ]:
         """Distances, faces, and the weights of their corners in the closest points."""
-        if kernels.serve(points) and self._tree is not None:
-            from jaxgrow.kernels import nearest as loops
-
+        loops = kernels.loops("nearest", points)
+        if loops is not None and self._tree is not None:
             return loops.find(points, self._vertices, self._faces, *self._tree)
         parts = [
             self._feet(points[begin : begin + _AT_ONCE])

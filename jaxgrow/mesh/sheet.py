@@ -11,6 +11,7 @@ import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -46,9 +47,8 @@ class Walls:
         """Faces that may be within a distance of some point."""
         if not len(self.faces) or not len(points):
             return np.zeros(0, dtype=np.int64)
-        if kernels.serve(points):
-            from jaxgrow.kernels import walls as loops
-
+        loops = kernels.loops("walls", points)
+        if loops is not None:
             return loops.near(*self._bounds, points, distance)
         lowest, highest, centre, radius = self._bounds
         low, high = points.min(axis=0) - distance, points.max(axis=0) + distance
@@ -174,8 +174,9 @@ def encounters(sheet: Sheet, *, apart: float, local: float, along: float) -> Enc
         All pairs, by exact distance.
     """
     edges, length = _edges(sheet)
-    if kernels.serve(sheet.vertices):
-        return _by_loops(sheet, edges, length, apart, local, along)
+    loops = kernels.loops("encounters", sheet.vertices)
+    if loops is not None:
+        return _by_loops(loops, sheet, edges, length, apart, local, along)
     joined = _joined(sheet, edges, length, along)
     reach = max(apart, local)
 
@@ -217,6 +218,7 @@ def encounters(sheet: Sheet, *, apart: float, local: float, along: float) -> Enc
 
 
 def _by_loops(
+    loops: Any,
     sheet: Sheet,
     edges: Int[np.ndarray, "e 2"],
     length: Float[np.ndarray, " e"],
@@ -225,8 +227,6 @@ def _by_loops(
     along: float,
 ) -> Encounters:
     """The same as `encounters` by loops."""
-    from jaxgrow.kernels import encounters as loops
-
     vertices, moving = sheet.vertices, sheet.moving
     first, reached = loops.joined(edges, length, len(vertices), along)
     vertex, face, distance, far = loops.vertices_and_faces(
@@ -258,9 +258,8 @@ def distances_of(
         vertices: Positions.
         found: Pairs of vertices with triangles, and of edges.
     """
-    if kernels.serve(vertices):
-        from jaxgrow.kernels import distances as loops
-
+    loops = kernels.loops("distances", vertices)
+    if loops is not None:
         return loops.of_pairs(vertices, found.vertex, found.corners, found.edges)
     corners, ends = vertices[found.corners], vertices[found.edges]
     to_triangle, _ = closest_on_triangles(vertices[found.vertex], corners)
@@ -280,9 +279,8 @@ def nearest_apart(sheet: Sheet, *, within: float, along: float) -> float:
         The distance, infinite if there is none up to ``within``.
     """
     edges, length = _edges(sheet)
-    if kernels.serve(sheet.vertices):
-        from jaxgrow.kernels import encounters as loops
-
+    loops = kernels.loops("encounters", sheet.vertices)
+    if loops is not None:
         joined = loops.joined(edges, length, len(sheet.vertices), along)
         _, _, distance, _ = loops.vertices_and_faces(
             sheet.vertices, sheet.faces, sheet.moving, *joined, within, -1.0
