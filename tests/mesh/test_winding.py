@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from jaxgrow import kernels
 from jaxgrow.mesh.winding import particles_outside, winding_number
 
 
@@ -14,6 +15,23 @@ def test_the_number_is_one_inside_and_zero_outside(sphere):
     number = winding_number(points, surface.vertices, surface.faces)
     inside = np.linalg.norm(points, axis=1) < 2.95
     assert np.abs(number - inside).max() < 1e-12
+
+
+@pytest.mark.parametrize("moved", [0.0, 1e3])
+def test_the_loop_finds_what_numpy_finds(sphere, monkeypatch, moved):
+    """Near and far, in faces, edges and vertices, and for faces without an area."""
+    surface = sphere(2)
+    faces = np.concatenate([surface.faces, surface.faces[:3, [0, 1, 1]]])
+    corners = surface.vertices[surface.faces[:4]]
+    on = [corners.mean(axis=1), corners[:, :2].mean(axis=1), corners[:, 0]]
+    spread = np.random.default_rng(0).normal(size=(300, 3))
+    points = np.concatenate([spread, 30 * spread, *on]) + moved
+    vertices = surface.vertices + moved
+    by_loop = winding_number(points, vertices, faces)
+    monkeypatch.setattr(kernels, "wanted", lambda: False)
+    wanted = winding_number(points, vertices, faces)
+    surely = slice(None) if moved == 0.0 else slice(600)  # rounding moves what is on it
+    np.testing.assert_allclose(by_loop[surely], wanted[surely], atol=1e-11)
 
 
 def test_inside_out_the_number_changes_its_sign(sphere):

@@ -1,0 +1,81 @@
+"""The loop over points and faces of `jaxgrow.mesh.winding`."""
+
+import math
+from typing import no_type_check
+
+import numpy as np
+from numba import njit
+
+
+_SMALL = 0.1
+"""Tangent of half a solid angle up to which the angle is summed as a series."""
+
+
+@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+@no_type_check
+def _small_angles(
+    point: np.ndarray,
+    corners: np.ndarray,
+    top: np.ndarray,
+    bottom: np.ndarray,
+    size: np.ndarray,
+    on_surface: float,
+) -> float:
+    """Sum of half the solid angles that are small; of all what the others need.
+
+    It has no branch, so that several faces are computed at once.
+    """
+    px, py, pz = point[0], point[1], point[2]
+    total = 0.0
+    for f in range(corners.shape[1]):
+        ax, ay, az = corners[0, f] - px, corners[1, f] - py, corners[2, f] - pz
+        bx, by, bz = corners[3, f] - px, corners[4, f] - py, corners[5, f] - pz
+        cx, cy, cz = corners[6, f] - px, corners[7, f] - py, corners[8, f] - pz
+        a = math.sqrt(ax * ax + ay * ay + az * az)
+        b = math.sqrt(bx * bx + by * by + bz * bz)
+        c = math.sqrt(cx * cx + cy * cy + cz * cz)
+        n = (
+            ax * (by * cz - bz * cy)
+            + ay * (bz * cx - bx * cz)
+            + az * (bx * cy - by * cx)
+        )
+        s = a * b * c
+        d = (
+            s
+            + (ax * bx + ay * by + az * bz) * c
+            + (bx * cx + by * cy + bz * cz) * a
+            + (cx * ax + cy * ay + cz * az) * b
+        )
+        top[f], bottom[f], size[f] = n, d, s
+        small = (abs(n) <= _SMALL * d) & (d > on_surface * s)
+        t = (n if small else 0.0) / (d if small else 1.0)
+        # arcus tangent, to the last digit
+        u = t * t
+        rest = 1 / 9 - u * (1 / 11 - u * (1 / 13 - u / 15))
+        total += t * (1 - u * (1 / 3 - u * (1 / 5 - u * (1 / 7 - u * rest))))
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def numbers(points: np.ndarray, corners: np.ndarray, on_surface: float) -> np.ndarray:
+    """Winding numbers.
+
+    Args:
+        points: where to ask.
+        corners: of the faces: nine coordinates, a row each.
+        on_surface: triple product over the lengths' product below which a point is in
+            a face, whose angle is left out.
+    """
+    result = np.zeros(len(points))
+    count = corners.shape[1]
+    top, bottom, size = np.zeros(count), np.zeros(count), np.zeros(count)
+    for i in range(len(points)):
+        total = _small_angles(points[i], corners, top, bottom, size, on_surface)
+        for f in range(count):
+            if not abs(top[f]) <= _SMALL * bottom[f]:
+                least = on_surface * size[f]
+                if not (abs(top[f]) <= least and bottom[f] <= least):
+                    total += math.atan2(top[f], bottom[f])
+        result[i] = total / (2.0 * np.pi)
+    return result
