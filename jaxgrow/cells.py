@@ -160,9 +160,9 @@ def make(position: Float[Array, "n 3"], of: Hash, before: Any = None) -> Any:
     partition = _partition()
     update, cell_list = _functions(of)
     return partition.NeighborList(
-        idx=jnp.asarray(np.full((len(points), room), len(points), np.int32)),
-        reference_position=jnp.asarray(points + _SHIFT),
-        error=partition.PartitionError(jnp.asarray(np.uint8(0))),
+        idx=jax.device_put(np.full((len(points), room), len(points), np.int32)),
+        reference_position=jax.device_put(points + _SHIFT),
+        error=partition.PartitionError(jax.device_put(np.uint8(0))),
         cell_list_capacity=capacity_for(wanted_in_cell, least_in_cell),
         max_occupancy=room,
         format=partition.NeighborListFormat.Dense,

@@ -21,7 +21,7 @@ from jaxgrow.mesh.sheet import (
 from jaxgrow.mesh.surface import Surface
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Membrane
-from jaxgrow.transfer import get, get_number, get_surface, padded
+from jaxgrow.transfer import get, get_number, get_surface, padded, put
 
 
 SKIN = 0.7
@@ -130,20 +130,20 @@ class CollisionFinder:
         def slot(index: np.ndarray) -> np.ndarray:
             return np.where(index < n, index, index - n + slots)
 
-        def put(array: np.ndarray, capacity: int, value: float = 0) -> Array:
+        def fitted(array: np.ndarray, capacity: int, value: float = 0) -> Array:
             if array.dtype.kind == "f":
                 array = array.astype(vertices.dtype)
-            return jnp.asarray(padded(array, capacity, value))
+            return put(padded(array, capacity, value))
 
         vertex_margin, edge_margin = self._margins(sheet, found)
         return Collisions(
-            still=put(still, n_still, 1e6),
-            vertex=put(slot(found.vertex), n_vertex, slots + n_still - 1),
-            corners=put(slot(found.corners), n_vertex),
-            apart=put(found.vertex_apart, n_vertex),
-            vertex_margin=put(vertex_margin, n_vertex),
-            edges=put(slot(found.edges), n_edge),
-            edge_margin=put(edge_margin, n_edge),
+            still=fitted(still, n_still, 1e6),
+            vertex=fitted(slot(found.vertex), n_vertex, slots + n_still - 1),
+            corners=fitted(slot(found.corners), n_vertex),
+            apart=fitted(found.vertex_apart, n_vertex),
+            vertex_margin=fitted(vertex_margin, n_vertex),
+            edges=fitted(slot(found.edges), n_edge),
+            edge_margin=fitted(edge_margin, n_edge),
             reference=vertices,
             skin=jnp.asarray(SKIN, vertices.dtype),
             stale=jnp.zeros((), bool),

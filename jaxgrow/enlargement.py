@@ -4,7 +4,6 @@ import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
@@ -15,6 +14,7 @@ from jaxgrow.state import FormerSurface, Frame, Particles, Species, State
 from jaxgrow.transfer import (
     get,
     get_surface,
+    put,
     put_membrane,
     reset_springs,
     with_capacity,
@@ -115,7 +115,7 @@ def put_enlarged(state: State, enlargement: Enlargement) -> State:
     vertices = membrane.vertices.at[:count].set(state.membrane.vertices[:count])
     membrane = eqx.tree_at(lambda m: m.vertices, membrane, vertices)
     patch = enlargement.patch
-    former = FormerSurface(jnp.asarray(patch.vertices), jnp.asarray(patch.faces))
+    former = FormerSurface(put(patch.vertices), put(patch.faces))
     frame = state.frame
     return State(
         _with_tissue(state.particles, enlargement),
@@ -131,10 +131,10 @@ def _with_tissue(particles: Particles, enlargement: Enlargement) -> Particles:
     particles = with_capacity(particles, particles.position.shape[0] + more)
     new = slice(first, first + more)
     free = particles.species[:first] == Species.TUMOUR
-    held = particles.held.at[:first].set(jnp.asarray(enlargement.held) & ~free)
+    held = particles.held.at[:first].set(put(enlargement.held) & ~free)
     return Particles(
-        position=particles.position.at[new].set(jnp.asarray(tissue.points)),
+        position=particles.position.at[new].set(put(tissue.points)),
         species=particles.species.at[new].set(int(Species.TISSUE)),
         alive=particles.alive.at[new].set(True),
-        held=held.at[new].set(jnp.asarray(tissue.held)),
+        held=held.at[new].set(put(tissue.held)),
     )

@@ -33,6 +33,7 @@ from jaxgrow.transfer import (
     get_number,
     get_surface,
     Positions,
+    put,
     put_membrane,
     put_particles,
     put_positions,
@@ -295,10 +296,10 @@ def plant_layout(
     assert particles is not None
     assert membrane is not None
     patch, site = layout.ground.patch, layout.ground.site
-    former = FormerSurface(jnp.asarray(patch.vertices), jnp.asarray(patch.faces))
+    former = FormerSurface(put(patch.vertices), put(patch.faces))
     frame = Frame(
-        jnp.asarray(site.point),
-        jnp.asarray(site.normal),
+        put(site.point),
+        put(site.normal),
         jnp.asarray(scene.r0_mm),
         former,
     )

@@ -7,7 +7,6 @@ not alive is padding: it changes no energy, force or gradient.
 import enum
 
 import equinox as eqx
-import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 
@@ -127,14 +126,3 @@ class Nodes(eqx.Module):
 
     particles: Float[Array, "n *_"] | None
     vertices: Float[Array, "m *_"] | None
-
-
-def parked(count: int, start: int = 0) -> Float[Array, "n 3"]:
-    """Positions for padding slots, on a lattice far from everything.
-
-    They are apart from each other because particles parked at one point would fill
-    one cell of a neighbour list.
-    """
-    index = jnp.arange(start, start + count)
-    lattice = jnp.stack([index % 16, index // 16 % 16, index // 256], axis=1)
-    return 1e4 + 4.0 * lattice.astype(float)

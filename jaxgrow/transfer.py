@@ -19,7 +19,7 @@ from jaxgrow.capacity import capacity_for
 from jaxgrow.energy.springs import edge_length
 from jaxgrow.mesh.surface import average_parents, Remeshing, Surface
 from jaxgrow.mesh.topology import build_topology
-from jaxgrow.state import Membrane, parked, Particles
+from jaxgrow.state import Membrane, Particles
 from jaxgrow.types import Scalar
 
 
@@ -41,11 +41,31 @@ def get_number(value: Scalar) -> float:
     return float(get(jnp.asarray(value)))
 
 
+def put(array: np.ndarray) -> Array:
+    """A copy on the device.
+
+    Not by `jnp.asarray`, which compiles a program for every shape (JAX 0.10). What
+    `jax.device_put` is given may be the device's memory from then on, so it is a copy.
+    """
+    return jax.device_put(np.array(array))
+
+
 def padded(array: np.ndarray, capacity: int, value: float = 0) -> np.ndarray:
     """The array with rows of a value (zeros, False) behind it."""
     filled = np.full((capacity, *array.shape[1:]), value, array.dtype)
     filled[: len(array)] = array
     return filled
+
+
+def parked(count: int, start: int = 0) -> Float[np.ndarray, "n 3"]:
+    """Positions for padding slots, on a lattice far from everything.
+
+    They are apart from each other because particles parked at one point would fill
+    one cell of a neighbour list.
+    """
+    index = np.arange(start, start + count)
+    lattice = np.stack([index % 16, index // 16 % 16, index // 256], axis=1)
+    return 1e4 + 4.0 * lattice.astype(float)
 
 
 def put_particles(
@@ -56,12 +76,12 @@ def put_particles(
 ) -> Particles:
     """Particles on the device, with room for more."""
     count = len(position)
-    padding = parked(capacity - count)
+    padding = put(parked(capacity - count))
     return Particles(
-        position=jnp.concatenate([jnp.asarray(position), padding]),
-        species=jnp.asarray(padded(species, capacity)),
-        alive=jnp.arange(capacity) < count,
-        held=jnp.asarray(padded(held, capacity)),
+        position=jnp.concatenate([put(position), padding]),
+        species=put(padded(species, capacity)),
+        alive=put(np.arange(capacity) < count),
+        held=put(padded(held, capacity)),
     )
 
 
@@ -74,7 +94,7 @@ def with_capacity(particles: Particles, capacity: int) -> Particles:
         return jnp.concatenate([array, jnp.zeros(more, array.dtype)])
 
     return Particles(
-        position=jnp.concatenate([particles.position, parked(more, old)]),
+        position=jnp.concatenate([particles.position, put(parked(more, old))]),
         species=extend(particles.species),
         alive=extend(particles.alive),
         held=extend(particles.held),
@@ -115,7 +135,7 @@ def put_positions(
     """The same with what may move elsewhere."""
 
     def placed(own: Array, new: np.ndarray, free: Array) -> Array:
-        there = jnp.asarray(padded(new, own.shape[0]))
+        there = put(padded(new, own.shape[0]))
         return jnp.where(free[:, None], there, own)
 
     moved = placed(particles.position, positions.particles, particles.free)
@@ -130,7 +150,7 @@ def put_positions(
 def put_membrane(surface: Surface) -> Membrane:
     """A membrane at rest on the device."""
     capacity = _vertex_capacity(surface)
-    vertices = jnp.asarray(padded(surface.vertices, capacity))
+    vertices = put(padded(surface.vertices, capacity))
     return _at_rest(vertices, surface)
 
 
@@ -160,7 +180,7 @@ def put_remeshed(membrane: Membrane, remeshing: Remeshing) -> Membrane:
         more = jnp.zeros((capacity - old, 3), vertices.dtype)
         vertices = jnp.concatenate([vertices, more])
     for parents in remeshing.parents:
-        vertices = _average(vertices, jnp.asarray(padded(parents, capacity)))
+        vertices = _average(vertices, put(padded(parents, capacity)))
     return _at_rest(vertices, remeshing)
 
 
@@ -189,13 +209,13 @@ def _at_rest(vertices: Float[Array, "m 3"], mesh: Surface | Remeshing) -> Membra
     faces = len(mesh.faces)
     membrane = Membrane(
         vertices=vertices,
-        faces=jnp.asarray(padded(mesh.faces, 2 * capacity)),
-        edges=jnp.asarray(padded(edges, 3 * capacity)),
-        rest_length=jnp.asarray(np.zeros(3 * capacity, vertices.dtype)),
-        vertex_alive=jnp.asarray(np.arange(capacity) < len(mesh.fixed)),
-        face_alive=jnp.asarray(np.arange(2 * capacity) < faces),
-        edge_alive=jnp.asarray(np.arange(3 * capacity) < len(edges)),
-        pinned=jnp.asarray(padded(mesh.fixed, capacity)),
-        source=jnp.asarray(mesh.source),
+        faces=put(padded(mesh.faces, 2 * capacity)),
+        edges=put(padded(edges, 3 * capacity)),
+        rest_length=put(np.zeros(3 * capacity, vertices.dtype)),
+        vertex_alive=put(np.arange(capacity) < len(mesh.fixed)),
+        face_alive=put(np.arange(2 * capacity) < faces),
+        edge_alive=put(np.arange(3 * capacity) < len(edges)),
+        pinned=put(padded(mesh.fixed, capacity)),
+        source=put(np.asarray(mesh.source)),
     )
     return reset_springs(membrane)

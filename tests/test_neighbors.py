@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 
 from jaxgrow import cells, neighbors as nb
 from jaxgrow.energy.a2 import CUTOFF
-from jaxgrow.state import parked
+from jaxgrow.transfer import parked
 
 
 COUNT = 64
@@ -71,22 +71,22 @@ def test_positions_far_outside_of_the_hash_lose_no_pair(offset):
 
 
 def test_particles_one_box_apart_are_no_neighbours():
-    position = np.asarray(parked(COUNT)) * 1.0
+    position = parked(COUNT)
     position[:2] = [[0, 0, 0], [12 * (CUTOFF + nb.WIDE_SKIN) * 1.0001, 0, 0]]
     assert pairs_of(nb.allocate(jnp.asarray(position)), position) == []
 
 
 def test_parked_slots_have_no_neighbours():
-    position = np.concatenate([box(3, scale=2.0)[:40], np.asarray(parked(24))])
+    position = np.concatenate([box(3, scale=2.0)[:40], parked(24)])
     listed = np.asarray(nb.allocate(jnp.asarray(position)).listed)
     assert np.all(listed[:, 40:] == COUNT)
     assert not np.any((listed >= 40) & (listed < COUNT))
 
 
 def test_parked_slots_are_apart_in_any_number():
-    position = np.asarray(parked(5000))
+    position = parked(5000)
     assert KDTree(position).query(position, k=2)[0][:, 1].min() >= 4
-    more = np.asarray(parked(40, 30))
+    more = parked(40, 30)
     np.testing.assert_array_equal(more, position[30:70])
 
 
@@ -167,8 +167,8 @@ def test_list_that_was_too_small_is_made_anew_larger_where_it_would_fit():
 @pytest.mark.parametrize("offset", np.linspace(0, 2.4, 21))
 def test_list_of_few_is_complete_after_one_of_many(offset):
     # 4200 particles have as many cells as a few have, but smaller ones
-    nb.allocate(jnp.asarray(np.asarray(parked(4200)) * 1.0))
-    position = np.asarray(parked(COUNT)) * 1.0
+    nb.allocate(jnp.asarray(parked(4200)))
+    position = parked(COUNT)
     neighbors = nb.allocate(jnp.asarray(position))
     apart = CUTOFF + nb.WIDE_SKIN - nb.SKIN - 0.02
     position[:2] = [[offset, 0, 0], [offset + apart, 0, 0]]
@@ -216,7 +216,7 @@ def crowd(seed, count=MANY):
     """Particles, and fifty parked slots."""
     side = (count / 1.2) ** (1 / 3)
     position = box(seed, scale=side, count=count)
-    return np.concatenate([position[:-50], np.asarray(parked(50))])
+    return np.concatenate([position[:-50], parked(50)])
 
 
 def is_symmetric(listed):

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxgrow.compilations import count_compilations
 from jaxgrow.mesh.fairing import fair
 from jaxgrow.mesh.surface import Surface
 from jaxgrow.mesh.topology import build_topology
@@ -12,6 +13,7 @@ from jaxgrow.transfer import (
     get,
     get_particles,
     get_surface,
+    put,
     put_membrane,
     put_particles,
     put_remeshed,
@@ -35,6 +37,20 @@ def surface():
     fixed = fixed.ravel()
     vertices[~fixed] += 0.2 * rng.normal(size=(25, 3))
     return Surface(vertices, faces, fixed, 24)
+
+
+@pytest.mark.parametrize("shape", [(3,), (257, 3), (4099, 3)])
+def test_what_is_put_is_a_copy_and_no_program(shape):
+    """Memory at a multiple of 64 bytes is what a processor would take as it is."""
+    count = int(np.prod(shape))
+    raw = np.zeros(8 * count + 64, np.uint8)
+    begin = -raw.ctypes.data % 64
+    array = raw[begin : begin + 8 * count].view(float).reshape(shape)
+    with count_compilations() as compilations:
+        there = put(array)
+    array[:] = 1.0
+    assert compilations.count == 0
+    np.testing.assert_array_equal(there, 0.0)
 
 
 def test_surface_comes_back_as_it_went(surface):

@@ -16,7 +16,7 @@ from jaxgrow.energy.pair import pair_force
 from jaxgrow.kernels import loops
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Particles, Species
-from jaxgrow.transfer import get, get_number
+from jaxgrow.transfer import get, get_number, put
 
 
 LARGEST_SHARE = 0.25
@@ -50,7 +50,7 @@ def evaluated(
 ) -> Kept:
     """Forces on all of them by a list that is valid for where they are."""
     force = _pair_force(particles, listed, parameters)
-    return Kept(particles, jnp.asarray(_law_of(parameters)), force)
+    return Kept(particles, put(_law_of(parameters)), force)
 
 
 def renewed(
@@ -91,7 +91,7 @@ def renewed(
         np.array([*law, CUTOFF]),
         force,
     )
-    return Kept(particles, kept.law, jnp.asarray(force))
+    return Kept(particles, kept.law, put(force))
 
 
 def _rows(particles: Particles) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,11 +1,13 @@
 """The lists of a problem: allocated, kept valid, and told to be out of date."""
 
+import functools
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TypeAlias
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from jaxgrow import neighbors as nb
@@ -200,8 +202,17 @@ def stale(lists: Lists) -> Lists:
         return lists
 
     def never(known: Contacts) -> Contacts:
-        moved = jax.tree.map(lambda x: x + 1e6, known.reference)
-        return eqx.tree_at(lambda c: c.reference, known, moved)
+        particles, vertices = known.reference
+        far = _elsewhere(particles.shape, particles.dtype)
+        return replace(
+            known, reference=(far, _elsewhere(vertices.shape, vertices.dtype))
+        )
 
     both = never(lists.contacts), never(lists.candidates)
     return eqx.tree_at(lambda a: (a.contacts, a.candidates), lists, both)
+
+
+@functools.lru_cache(maxsize=64)
+def _elsewhere(shape: tuple[int, ...], dtype: DTypeLike) -> Array:
+    """Positions farther away than anything moves, made once."""
+    return jnp.full(shape, 1e6, dtype)

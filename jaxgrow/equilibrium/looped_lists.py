@@ -22,7 +22,7 @@ from jaxgrow.equilibrium.problem import (
 )
 from jaxgrow.kernels import layout, loops
 from jaxgrow.kernels.ffi import registered
-from jaxgrow.transfer import get, get_number
+from jaxgrow.transfer import get, get_number, put
 
 
 LEAST_CONTACTS, LEAST_CANDIDATES, LEAST_COLLISIONS = 1024, 4096, 256
@@ -96,9 +96,9 @@ def collisions_by_loops(problem: Problem, wide: Collisions, room: int) -> Collis
     )
     vertex, corners, apart, vertex_margin, edges, edge_margin = found
     return Collisions(
-        *(wide.still, jnp.asarray(vertex), jnp.asarray(corners)),
-        jnp.asarray(apart.view(bool)),
-        *map(jnp.asarray, (vertex_margin, edges, edge_margin)),
+        *(wide.still, put(vertex), put(corners)),
+        put(apart.view(bool)),
+        *map(put, (vertex_margin, edges, edge_margin)),
         reference=membrane.vertices,
         skin=jnp.asarray(COLLISION_SKIN, wide.skin.dtype),
         stale=jnp.zeros((), bool),
@@ -110,10 +110,10 @@ def _contacts(problem: Problem, found: layout.Touching, count: int) -> Contacts:
     """A list on the device, of where the problem is."""
     particles, membrane = problem.both()
     return Contacts(
-        *(jnp.asarray(found.particle), jnp.asarray(found.face)),
-        *(jnp.asarray(found.corners), jnp.asarray(found.real.view(bool))),
+        *(put(found.particle), put(found.face)),
+        *(put(found.corners), put(found.real.view(bool))),
         reference=(particles.position, membrane.vertices),
-        overflow=jnp.asarray(count > len(found.real)),
+        overflow=jax.device_put(count > len(found.real)),
     )
 
 

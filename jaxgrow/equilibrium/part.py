@@ -1,6 +1,5 @@
 """A problem cut out of a larger one: some nodes may move, those around are held."""
 
-import functools
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -11,8 +10,8 @@ from jaxgrow.capacity import capacity_for
 from jaxgrow.energy.a2 import CUTOFF
 from jaxgrow.energy.contact import reach
 from jaxgrow.equilibrium.problem import Problem
-from jaxgrow.state import Membrane, Nodes, parked, Particles
-from jaxgrow.transfer import get, get_number, padded
+from jaxgrow.state import Membrane, Nodes, Particles
+from jaxgrow.transfer import get, get_number, padded, parked, put
 from jaxgrow.vicinity import near_seeds
 
 
@@ -58,7 +57,7 @@ class Part(NamedTuple):
                 return whole
             rows = np.array(get(whole))
             rows[index] = get(part)[: len(index)]
-            return jnp.asarray(rows)
+            return put(rows)
 
         return Nodes(
             placed(nodes.particles, into.particles, self.particles),
@@ -167,7 +166,7 @@ def cut(problem: Problem, moving: Mask, margin: float) -> Part:
     if problem.membrane is not None:
         membrane = _cut_membrane(problem.membrane, near, moving, room // 2)
     if problem.load is not None:
-        load = jnp.asarray(padded(get(problem.load)[near.vertices], room // 2))
+        load = put(padded(get(problem.load)[near.vertices], room // 2))
     return Part(
         Problem(particles, membrane, problem.parameters, load),
         np.flatnonzero(near.particles),
@@ -202,23 +201,17 @@ def _within(
     return chosen, number[rows[chosen]]
 
 
-@functools.cache
-def _parking(room: int) -> Float[np.ndarray, "q 3"]:
-    """Places for padding on the host: made once a size, each is a compilation."""
-    return get(parked(room))
-
-
 def _cut_particles(
     particles: Particles, near: Mask, moving: Mask, room: int
 ) -> Particles:
     chosen = near.particles
     position = get(particles.position)[chosen]
-    padding = _parking(room)[len(position) :].astype(position.dtype)
+    padding = parked(room)[len(position) :].astype(position.dtype)
     return Particles(
-        position=jnp.asarray(np.concatenate([position, padding])),
-        species=jnp.asarray(padded(get(particles.species)[chosen], room)),
-        alive=jnp.asarray(padded(get(particles.alive)[chosen], room)),
-        held=jnp.asarray(padded(~moving.particles[chosen], room)),
+        position=put(np.concatenate([position, padding])),
+        species=put(padded(get(particles.species)[chosen], room)),
+        alive=put(padded(get(particles.alive)[chosen], room)),
+        held=put(padded(~moving.particles[chosen], room)),
     )
 
 
@@ -228,17 +221,17 @@ def _cut_membrane(membrane: Membrane, near: Mask, moving: Mask, room: int) -> Me
     which, edges = _within(membrane.edges, membrane.edge_alive, chosen)
     rest_length = get(membrane.rest_length)[which]
 
-    def put(array: np.ndarray, like: Array, size: int) -> Array:
-        return jnp.asarray(padded(array.astype(like.dtype), size))
+    def fitted(array: np.ndarray, like: Array, size: int) -> Array:
+        return put(padded(array.astype(like.dtype), size))
 
     return Membrane(
-        vertices=put(get(membrane.vertices)[chosen], membrane.vertices, room),
-        faces=put(faces, membrane.faces, 2 * room),
-        edges=put(edges, membrane.edges, 3 * room),
-        rest_length=put(rest_length, membrane.rest_length, 3 * room),
-        vertex_alive=jnp.asarray(np.arange(room) < chosen.sum()),
-        face_alive=jnp.asarray(np.arange(2 * room) < len(faces)),
-        edge_alive=jnp.asarray(np.arange(3 * room) < len(edges)),
-        pinned=jnp.asarray(padded(~moving.vertices[chosen], room)),
+        vertices=fitted(get(membrane.vertices)[chosen], membrane.vertices, room),
+        faces=fitted(faces, membrane.faces, 2 * room),
+        edges=fitted(edges, membrane.edges, 3 * room),
+        rest_length=fitted(rest_length, membrane.rest_length, 3 * room),
+        vertex_alive=put(np.arange(room) < chosen.sum()),
+        face_alive=put(np.arange(2 * room) < len(faces)),
+        edge_alive=put(np.arange(3 * room) < len(edges)),
+        pinned=put(padded(~moving.vertices[chosen], room)),
         source=jnp.asarray(-1, membrane.source.dtype),
     )

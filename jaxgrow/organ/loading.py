@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import trimesh
 from jaxtyping import Float, Int
 
 from jaxgrow.organ.organ import Organ
@@ -89,6 +88,8 @@ def _read(
     path: Path,
 ) -> tuple[Float[np.ndarray, "m 3"], Int[np.ndarray, "f 3"]]:
     kind = path.suffix.lower()[1:]
+    import trimesh  # not above: it takes a third of a second to import
+
     # trimesh complains to its log about files that we then refuse in words
     logger = logging.getLogger("trimesh")
     level = logger.level

@@ -12,6 +12,7 @@ Every dimension below is measured on the mesh by the tests.
 """
 
 import functools
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -53,6 +54,11 @@ INDENTATION_MM = 2.2
 FINEST_MM, COARSEST_MM = 0.4, 1.5
 """Edge lengths that the tessellation is good for: the horns' tips have a radius of
 curvature of about 2 mm."""
+
+KEPT_EDGE_MM = 1.0
+"""Edge length of the mesh that comes with the package; making it takes a second."""
+
+_KEPT = Path(__file__).with_name("uterus.npz")
 
 FLATTENING = 0.78
 """Depth over width of the round cones in the cavity; the canal is round."""
@@ -106,7 +112,8 @@ def cavity(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
 def uterus(edge_mm: float = 1.0) -> Organ:
     """Cavity of a uterus with even triangles and named sites.
 
-    The same ``edge_mm`` gives the same mesh, bit for bit, on the same machine. The
+    With edges of 1 mm it is the same mesh everywhere, bit for bit: it is kept in
+    ``uterus.npz``. With others it is made anew, on one machine always the same. The
     sites are vertices. ``left-cornu`` and ``right-cornu`` lie on the wall of the fundus
     where the horn begins, where cornual polyps sit, not in the horn's tip.
 
@@ -135,7 +142,26 @@ def uterus(edge_mm: float = 1.0) -> Organ:
 def _tessellated(
     edge_mm: float,
 ) -> tuple[Float[np.ndarray, "m 3"], Int[np.ndarray, "f 3"]]:
-    """Vertices, first of them the sites, and faces; made once in a process."""
+    """Vertices, first of them the sites, and faces; read or made once in a process."""
+    if edge_mm != KEPT_EDGE_MM:
+        return make(edge_mm)
+    with np.load(_KEPT) as kept:
+        return kept["vertices"], kept["faces"].astype(np.int64)
+
+
+def keep() -> None:
+    """Write the mesh that is kept, after a change to what is above.
+
+    ``python -c "from jaxgrow.organ.uterus import keep; keep()"``
+    """
+    vertices, faces = make(KEPT_EDGE_MM)
+    np.savez_compressed(_KEPT, vertices=vertices, faces=faces.astype(np.int32))
+
+
+def make(
+    edge_mm: float,
+) -> tuple[Float[np.ndarray, "m 3"], Int[np.ndarray, "f 3"]]:
+    """Tessellate the cavity: vertices, first of them the sites, and faces."""
     low = np.array([-18.0, -10.0, -28.0])
     high = np.array([18.0, 10.0, 35.0])
     pinned = project(cavity, np.array(list(_SITES.values())), step=1e-4, iterations=8)

@@ -18,8 +18,8 @@ from jaxgrow.equilibrium.relax import relax
 from jaxgrow.mesh.surface import Surface
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
-from jaxgrow.state import Nodes, parked, Particles
-from jaxgrow.transfer import put_membrane
+from jaxgrow.state import Nodes, Particles
+from jaxgrow.transfer import parked, put_membrane
 
 
 pytest.importorskip("numba")

@@ -13,8 +13,8 @@ from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.kernels.layout import Touching
 from jaxgrow.parameters import Parameters
 from jaxgrow.relisting import Links, relink
-from jaxgrow.state import parked, Particles
-from jaxgrow.transfer import get
+from jaxgrow.state import Particles
+from jaxgrow.transfer import get, parked
 
 
 pytest.importorskip("numba")

@@ -15,6 +15,7 @@ from jaxgrow.organ.uterus import (
     DEPTH_MM,
     INDENTATION_MM,
     INTERNAL_OS_MM,
+    make,
 )
 from jaxgrow.organ.validity import check_surface
 
@@ -148,6 +149,19 @@ def test_the_same_tessellation_gives_the_same_mesh(womb):
     vertices, faces = _tessellated.__wrapped__(1.0)
     np.testing.assert_array_equal(vertices, womb.vertices)
     np.testing.assert_array_equal(faces, womb.faces)
+
+
+def test_the_kept_mesh_is_what_the_tessellation_makes(womb):
+    """But for the rounding of another machine, which may turn an edge round."""
+    vertices, faces = make(1.0)
+    made = trimesh.Trimesh(vertices, faces, process=False)
+    kept = trimesh.Trimesh(womb.vertices, womb.faces, process=False)
+    assert len(womb.vertices) == pytest.approx(len(vertices), rel=0.01)
+    assert kept.volume == pytest.approx(made.volume, rel=1e-3)
+    assert kept.area == pytest.approx(made.area, rel=1e-3)
+    np.testing.assert_allclose(cavity(womb.vertices), 0.0, atol=1e-9)
+    sites = np.array(list(womb.sites.values()))
+    np.testing.assert_allclose(sites, vertices[: len(sites)], atol=1e-9)
 
 
 def test_what_is_done_to_one_uterus_is_not_done_to_the_next(womb):
