@@ -45,6 +45,7 @@ from speed import (
     lesion_rows,
     memory,
     relaxation_rows,
+    start_up,
 )
 from speed.curves import AXES, work_precision
 from speed.measure import circumstances, configure, load, Options, Row
@@ -73,7 +74,9 @@ ROWS: dict[str, Callable[[Options], Iterator[Row]]] = {
     "polyp-200": lesion_rows.polyp_200,
     "myoma-300": lesion_rows.myoma_300,
     "organ-1e5": lesion_rows.organ_1e5,
+    "fairing": lesion_rows.fairing,
     "memory": memory.memory,
+    "start-up": start_up.start_up,
 }
 
 CURVES: dict[str, Callable[[Options], Iterator[dict[str, Any]]]] = {
@@ -88,6 +91,7 @@ QUICK_ROWS = [
     "grow-100",
     "polyp-200",
     "memory",
+    "start-up",
 ]
 """Rows of quick mode, if none is named: those that take seconds."""
 

@@ -9,15 +9,18 @@ of `AXES`.
 """
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 import jaxgrow as jg
+from jaxgrow import neighbors as nb
 from jaxgrow.equilibrium.listing import allocate_lists
 from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.stages import Method
@@ -55,28 +58,51 @@ class Setting:
     sharpness: float = jg.Parameters.contact_sharpness
 
 
+JAXGROWS_SKINS = {
+    0.05: "bfloat16",
+    0.1: "tensorfloat32",
+    SKIN: None,
+    0.3: "float32",
+    0.4: "high",
+    0.6: "highest",
+}
+"""Skins of jaxgrow's lists that are tried, and what keeps their programs apart: they
+are looked up by the precision of products of 32 bits, of which there are none."""
+
+
+@contextmanager
+def skin_of(skin: float) -> Iterator[None]:
+    """Within the block jaxgrow's lists have this skin, which is a constant of it."""
+    own, nb.SKIN = nb.SKIN, skin
+    try:
+        with jax.default_matmul_precision(JAXGROWS_SKINS[skin]):
+            yield
+    finally:
+        nb.SKIN = own
+
+
 def jaxgrow(method: Method) -> Callable[[Setting, Points], Callable[[int], Any]]:
     """A method of `jaxgrow.relax`, lists for the start given."""
 
     def prepared(setting: Setting, start: Points) -> Callable[[int], Any]:
-        if setting.skin != SKIN:
-            raise ValueError(f"jaxgrow's skin is {SKIN}; it cannot be chosen yet.")
         particles = eqx.tree_at(
             lambda p: p.position,
             particles_of(start),
             jnp.asarray(start, setting.dtype),
         )
         parameters = jg.Parameters(smoothing=setting.smoothing)
-        lists = allocate_lists(Problem.of(particles, None, parameters))
+        with skin_of(setting.skin):
+            lists = allocate_lists(Problem.of(particles, None, parameters))
 
         def relax(_: int) -> Any:
-            end = jg.relax(
-                particles,
-                parameters=parameters,
-                tolerance=setting.tolerance,
-                method=method,
-                lists=lists,
-            )
+            with skin_of(setting.skin):
+                end = jg.relax(
+                    particles,
+                    parameters=parameters,
+                    tolerance=setting.tolerance,
+                    method=method,
+                    lists=lists,
+                )
             assert end.state[0] is not None
             return get(end.state[0].position).astype(float), end.result.name
 
@@ -139,8 +165,7 @@ AXES: dict[str, list[Setting]] = {
         for t in (1e-1, 1e-2, 1e-3, 1e-4, 1e-5)
     ],
     "skin": [
-        Setting(relaxer="numba lbfgs", tolerance=1e-6, skin=s)
-        for s in (0.1, 0.2, 0.3, 0.4, 0.6, 0.8)
+        Setting(relaxer="jaxgrow lbfgs", tolerance=1e-6, skin=s) for s in JAXGROWS_SKINS
     ],
     "division": [
         Setting(relaxer=name, tolerance=t, skin=SKINS.get(name, SKIN))

@@ -8,12 +8,8 @@ All guarantees are on: collisions as soon as sheets meet, exact checks of every 
 
 import argparse
 import json
-import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -26,6 +22,7 @@ from jaxgrow.planting import plant
 from jaxgrow.step import first_step, iterate
 from jaxgrow.transfer import get
 
+from .apart import apart
 from .measure import configure, measure_in_turns, Options, Row
 from .memory import peak
 
@@ -42,6 +39,9 @@ MYOMA, QUICK_MYOMA = 300, 10
 
 TISSUE, QUICK_TISSUE = 100_000, 4000
 """Tissue particles of the block."""
+
+WIDER = 300.0
+"""By how many r0 the block is wider and deeper that has very many triangles."""
 
 RADIUS = 16.0
 """Of the patch on the block, in r0."""
@@ -67,16 +67,18 @@ def myoma(divisions: int) -> jg.Scene:
     return jg.Scene(lesion=jg.Myoma(divisions=divisions, particle_mm=1.0))
 
 
-def organ(tissue: int) -> jg.Scene:
+def organ(tissue: int, wider: float = 0.0) -> jg.Scene:
     """A polyp on a solid block with a flat top, over that many tissue particles.
 
     The more particles, the deeper the tissue; the patch stays the same.
 
     Args:
         tissue: number of particles, about.
+        wider: by how many r0 the block is wider and deeper than they need.
     """
     thickness = tissue / FILLED
-    across, deep = 2 * (RADIUS + thickness + COARSE), 2 * thickness + COARSE
+    across = 2 * (RADIUS + thickness + COARSE) + wider
+    deep = 2 * thickness + COARSE + wider
     box = trimesh.creation.box(extents=(across, across, deep))
     box.apply_translation((0.0, 0.0, -deep / 2))
     vertices, faces = trimesh.remesh.subdivide_to_size(
@@ -131,23 +133,9 @@ def phases(growth: jg.Growth, seconds: float) -> dict[str, float]:
 def grown(name: str, number: int, options: Options) -> dict[str, Any]:
     """The same in a fresh process, its programs on disk if they were made before."""
     start = time.perf_counter()
-    done = subprocess.run(
-        [
-            *[sys.executable, "-m", "speed.lesion_rows", name, str(number)],
-            *["--device", options.device, "--threads", str(options.threads)],
-        ],
-        cwd=Path(__file__).parents[1],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if done.returncode:
-        raise RuntimeError(f"growing a {name} apart failed: {done.stderr}")
-    return {
-        **json.loads(done.stdout.splitlines()[-1]),
-        "seconds_of_the_process": time.perf_counter() - start,
-    }
+    device = "--device", options.device, "--threads", options.threads
+    found = apart("lesion_rows", name, number, *device)
+    return {**found, "seconds_of_the_process": time.perf_counter() - start}
 
 
 def lesion(
@@ -209,6 +197,34 @@ def myoma_300(options: Options) -> Iterator[Row]:
     return lesion("myoma", divisions, options, divisions, None)
 
 
+class Divisions:
+    """One division in a scene, made again and again from the planted start."""
+
+    def __init__(self, scene: jg.Scene) -> None:
+        self.scene = scene
+        start = time.perf_counter()
+        rng = np.random.default_rng(0)
+        self.planted = plant(
+            self.scene, self.scene.parameters, tolerance=TOLERANCE, rng=rng
+        )
+        self.seconds_of_planting = time.perf_counter() - start
+        self._clock = Clock()
+
+    def __call__(self, repetition: int) -> tuple[Any, dict[str, float]]:
+        """The division of a repetition, and its seconds by phase."""
+        self._clock.lap()
+        made = iterate(
+            self.scene,
+            first_step(self.planted),
+            self.scene.parameters,
+            TOLERANCE,
+            np.random.default_rng(repetition),
+            self._clock,
+        )
+        jax.block_until_ready(made.step.state)
+        return made, self._clock.lap()
+
+
 def organ_1e5(options: Options) -> Iterator[Row]:
     """One division over 10^5 tissue particles, in seconds; planted once.
 
@@ -216,21 +232,7 @@ def organ_1e5(options: Options) -> Iterator[Row]:
     process of its own that plants and divides.
     """
     tissue = QUICK_TISSUE if options.quick else TISSUE
-    scene = organ(tissue)
-    parameters = scene.parameters
-    start = time.perf_counter()
-    rng = np.random.default_rng(0)
-    planted = plant(scene, parameters, tolerance=TOLERANCE, rng=rng)
-    planting = time.perf_counter() - start
-    clock = Clock()
-
-    def divide(repetition: int) -> Any:
-        clock.lap()
-        rng = np.random.default_rng(repetition)
-        made = iterate(scene, first_step(planted), parameters, TOLERANCE, rng, clock)
-        jax.block_until_ready(made.step.state)
-        return made, clock.lap()
-
+    divide = Divisions(organ(tissue))
     measured = measure_in_turns(
         {"jaxgrow": divide},
         options.limited(),
@@ -238,7 +240,7 @@ def organ_1e5(options: Options) -> Iterator[Row]:
     )
     made, by_phase = measured.outcomes["jaxgrow"][-1]
     assert made.settled is not None
-    assert planted.outcome is not None
+    assert divide.planted.outcome is not None
     stats = made.settled.adapted.relaxation.stats
     state = made.step.state
     apart = grown("organ", tissue, options)
@@ -256,11 +258,43 @@ def organ_1e5(options: Options) -> Iterator[Row]:
             "result": made.result.name,
             "steps": stats.steps,
             "tolerance": TOLERANCE,
-            "seconds_of_planting": planting,
-            "residual_of_planting": planted.outcome.stats.residual,
-            "steps_of_planting": planted.outcome.stats.steps,
+            "seconds_of_planting": divide.seconds_of_planting,
+            "residual_of_planting": divide.planted.outcome.stats.residual,
+            "steps_of_planting": divide.planted.outcome.stats.steps,
             "seconds_by_phase": by_phase,
             "fresh_process": apart,
+        },
+    )
+
+
+def fairing(options: Options) -> Iterator[Row]:
+    """Fairing after a division, in an organ of very many triangles over one of few.
+
+    The patch is the same in both, and so is what is to be faired.
+    """
+    few, many = (Divisions(organ(QUICK_TISSUE, wider)) for wider in (0.0, WIDER))
+    measured = measure_in_turns({"few": few, "many": many}, options, shortest=0.0)
+    seconds = {
+        name: [by_phase["fair"] for _, by_phase in outcomes]
+        for name, outcomes in measured.outcomes.items()
+    }
+    faces = {
+        name: len(divide.scene.organ.faces)
+        for name, divide in (("few", few), ("many", many))
+    }
+    yield Row(
+        "fairing",
+        f"fairing after a division: an organ of {faces['many']} triangles over one of "
+        f"{faces['few']}, the same patch",
+        [a / b for a, b in zip(seconds["many"], seconds["few"], strict=True)],
+        bar=1.3,
+        seconds=seconds,
+        details={
+            "faces_of_the_organ": faces,
+            "faces_of_the_patch": {
+                name: int(get(outcomes[-1][0].step.state.membrane.face_alive).sum())
+                for name, outcomes in measured.outcomes.items()
+            },
         },
     )
 

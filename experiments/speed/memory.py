@@ -8,9 +8,7 @@ the imports and at the end, in GB.
 
 import argparse
 import json
-import os
 import resource
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from .apart import apart
 from .measure import configure, Options, Row
 
 
@@ -64,31 +63,14 @@ def _jax_md(position: Any) -> None:
 CONTENDERS = {"jaxgrow": _jaxgrow, "numba": _numba, "jax-md": _jax_md}
 
 
-def measured(name: str, count: int, options: Options) -> dict[str, float]:
-    """Peaks of another process, in GB."""
-    done = subprocess.run(
-        [
-            *[sys.executable, "-m", "speed.memory", name, str(count)],
-            *["--device", options.device, "--threads", str(options.threads)],
-        ],
-        cwd=Path(__file__).parents[1],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if done.returncode:
-        raise RuntimeError(f"measuring the memory of {name} failed: {done.stderr}")
-    return json.loads(done.stdout.splitlines()[-1])
-
-
 def memory(options: Options) -> Iterator[Row]:
     """Peak of the whole process at 100 000 particles, in GB."""
     count = 100_000
     names = ["jaxgrow"] if options.quick else list(CONTENDERS)
     repetitions = 1 if options.quick else 3
+    device = "--device", options.device, "--threads", options.threads
     peaks = {
-        name: [measured(name, count, options) for _ in range(repetitions)]
+        name: [apart("memory", name, count, *device) for _ in range(repetitions)]
         for name in names
     }
     yield Row(
