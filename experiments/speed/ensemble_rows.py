@@ -36,6 +36,9 @@ def divisions_per_step(options: Options) -> Iterator[Row]:
     """
     divisions, counts = (24, (1, 2, 4)) if options.quick else (80, (1, 2, 4, 8))
     scenes = {count: polyp(divisions, count) for count in counts}
+    for seed in range(options.repetitions):  # each has programs of its own, maybe
+        for scene in scenes.values():
+            jg.grow(scene, seed=seed)
     measured = measure_in_turns(
         {
             str(count): lambda seed, s=scene: jg.grow(s, seed=seed)
