@@ -138,10 +138,10 @@ def relax(
             "euler" and "serial" (the paper's eq. 1, all at once or in serial order,
             which is for particles alone), "staggered" (the paper's turns of tissue and
             surface, for both, which seldom converge), or "auto": L-BFGS, which Newton's
-            method ends where the tolerance is below 1e-6, then FIRE if they do not
-            converge; "local": the same after relaxing what is disturbed by itself,
-            larger and larger, which "auto" does too where there are many thousands of
-            nodes.
+            method ends where the tolerance is below 1e-11, or below 1e-6 and L-BFGS
+            does not converge, then FIRE if they do not; "local": the same after
+            relaxing what is disturbed by itself, larger and larger, which "auto" does
+            too where there are many thousands of nodes.
         max_steps: bound on the steps of each method.
         largest_step: longest displacement of a node in one step, in r0.
         load: external force on every vertex, in F(0).
