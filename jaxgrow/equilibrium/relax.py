@@ -19,6 +19,7 @@ from jaxgrow.equilibrium.local import may_pay, relax_locally
 from jaxgrow.equilibrium.problem import LARGEST_STEP, Lists, Problem
 from jaxgrow.equilibrium.stages import (
     exact_tolerance,
+    goal_of,
     Limits,
     Method,
     NEAR,
@@ -133,12 +134,14 @@ def relax(
         particles: or None for a membrane alone.
         membrane: or None for particles alone; then no membrane term is compiled.
         parameters: of the energy; the default `Parameters()`.
-        tolerance: largest force on a free node at the end, in F(0).
+        tolerance: largest force on a free node at the end, in F(0). With 1e-10 or
+            less, as under a derivative, which is off by about what is left, it is
+            made a hundredth of that, if it can be, and 1e-12 is enough.
         method: "lbfgs", "fire", "newton" (within a trust region, so from anywhere),
             "euler" and "serial" (the paper's eq. 1, all at once or in serial order,
             which is for particles alone), "staggered" (the paper's turns of tissue and
             surface, for both, which seldom converge), or "auto": L-BFGS, which Newton's
-            method ends where the tolerance is below 1e-11, or below 1e-6 and L-BFGS
+            method ends where the tolerance is below 1e-12, or below 1e-6 and L-BFGS
             does not converge, then FIRE if they do not; "local": the same after
             relaxing what is disturbed by itself, larger and larger, which "auto" does
             too where there are many thousands of nodes.
@@ -191,13 +194,14 @@ def relax(
         problem = Problem(apart, problem.membrane, problem.parameters, problem.load)
     if differentiated:
         tolerance = min(tolerance, exact_tolerance(given.dtype))
+    goal = goal_of(tolerance, given.dtype)
     if lists is None or not fits(problem, lists):
         lists = allocate_lists(problem)
     if method == "auto" and collide is None and observe is None and may_pay(problem):
         method = "local"
     stats = RelaxationStats(math.inf, 0, 0, 0, method)
     result, forces, near = Result.STEP_LIMIT, problem.nodes(), False
-    for stage in stages_of(method, tolerance, problem.parameters):
+    for stage in stages_of(method, goal, problem.parameters):
         if stage.polishes and not near:
             continue
         limits = Limits(stage.tolerance, max_steps, largest_step)
@@ -217,8 +221,10 @@ def relax(
             stats.overflows + found.overflows,
             stage.name,
         )
-        done = result is Result.CONVERGED and found.residual <= tolerance
-        if done or result not in (Result.CONVERGED, Result.STEP_LIMIT):
+        if result not in (Result.CONVERGED, Result.STEP_LIMIT):
+            break
+        if found.residual <= tolerance:
+            result = Result.CONVERGED
             break
     if differentiated:
         if stats.method == "local":  # which keeps no list of all neighbours valid

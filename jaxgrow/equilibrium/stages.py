@@ -32,9 +32,12 @@ Method = Literal[
 NEAR = 1e-4
 """Residual, in F(0), from which Newton's method converges without help."""
 
-POLISHED = 1e-11
+POLISHED = 1e-12
 """Tolerance below which Newton's method ends a relaxation, in F(0): down to there
 L-BFGS takes a quarter of the time, and below it meets the rounding of the forces."""
+
+BEYOND = 0.01
+"""Share of a tolerance down to which is relaxed where derivatives may be taken."""
 
 TIGHT = 1e-6
 """Tolerance below which Newton's method goes on where L-BFGS does not converge."""
@@ -89,6 +92,13 @@ class Found(NamedTuple):
 def exact_tolerance(dtype: DTypeLike = jnp.float64) -> float:
     """Tolerance of an equilibrium whose derivative is taken, in F(0)."""
     return 1e-10 if jnp.finfo(dtype).bits > 32 else 1e-5
+
+
+def goal_of(tolerance: float, dtype: DTypeLike) -> float:
+    """How far to relax for a tolerance: beyond it where derivatives may be taken."""
+    if jnp.finfo(dtype).bits <= 32 or tolerance > exact_tolerance(dtype):
+        return tolerance
+    return min(tolerance, max(BEYOND * tolerance, POLISHED))
 
 
 def stages_of(method: str, tolerance: float, parameters: Parameters) -> Iterator[Stage]:
