@@ -26,7 +26,7 @@ from jaxgrow.organ import (
     walls_around,
 )
 from jaxgrow.parameters import Parameters
-from jaxgrow.scene import Myoma, Scene, SceneError
+from jaxgrow.scene import Myoma, Polyp, Scene, SceneError
 from jaxgrow.state import FormerSurface, Frame, Species, State
 from jaxgrow.transfer import (
     get,
@@ -150,7 +150,7 @@ def plant(
     site = locate_site(organ, scene.lesion.site)
     layout = lay_out(scene, organ, site, get_number(parameters.contact_range), rng)
     planted = plant_layout(scene, layout, parameters, tolerance)
-    if scene.lesion.target_mm is not None:
+    if isinstance(scene.lesion, Polyp) and scene.lesion.target_mm is not None:
         check_lift(planted.state, scene.surroundings.density)
     return planted
 
@@ -195,7 +195,9 @@ def _rounded(count: int) -> int:
 
 
 def check_lift(state: State, density: float) -> None:
-    """Refuse tissue that lifts the surface before anything has grown.
+    """Refuse tissue that lifts the surface as a polyp would, before anything has grown.
+
+    The size of a myoma is that of its body, so it may do so there.
 
     Raises:
         SceneError: a lesion's size would be that of the lift.

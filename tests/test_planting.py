@@ -160,5 +160,15 @@ def test_tissue_that_lifts_the_surface_by_itself_is_refused():
         plant(scene, Parameters(), tolerance=1e-1, rng=np.random.default_rng(0))
 
 
+def test_tissue_of_a_myoma_may_lift_the_surface():
+    """Its size is that of its body; the very tissue that is refused of a polyp."""
+    scene = Scene(
+        lesion=Myoma(size_mm=8.0, particle_mm=1.5, depth_mm=2.0),
+        surroundings=Surroundings(radius=4.0, thickness=3.5, density=8.0),
+    )
+    planted = plant(scene, Parameters(), tolerance=1e-1, rng=np.random.default_rng(0))
+    assert planted.outcome.result.success
+
+
 def test_capacity_is_rounded_so_that_other_scenes_use_the_same_programs(polyp):
     assert polyp.state.particles.position.shape[0] % SPARE == 0
