@@ -8,7 +8,7 @@ import pytest
 from jaxgrow.mesh.winding import particles_outside
 from jaxgrow.organ import merge
 from jaxgrow.parameters import Parameters
-from jaxgrow.planting import depth_of, find_organ, HOLD, plant, SPARE
+from jaxgrow.planting import check_lift, depth_of, find_organ, HOLD, plant, SPARE
 from jaxgrow.results import Result
 from jaxgrow.scene import Myoma, Polyp, Scene, SceneError, Surroundings
 from jaxgrow.state import Species
@@ -168,6 +168,8 @@ def test_tissue_of_a_myoma_may_lift_the_surface():
     )
     planted = plant(scene, Parameters(), tolerance=1e-1, rng=np.random.default_rng(0))
     assert planted.outcome.result.success
+    with pytest.raises(SceneError):
+        check_lift(planted.state, 8.0)
 
 
 def test_capacity_is_rounded_so_that_other_scenes_use_the_same_programs(polyp):
