@@ -5,7 +5,8 @@
 grows a polyp and a myoma at three sizes each in the built-in uterus, and a polyp on
 every organ that `experiments/organs.py` exported to the folder ``organs``. It writes
 every run's folder under ``--out``, the figures to
-``experiments/results/growths.json``, and prints the table.
+``experiments/results/growths.json``, and prints the table. With ``--only`` the figures
+of the other runs stay as they are.
 """
 
 import argparse
@@ -124,6 +125,9 @@ def main() -> None:
             for name, arguments in wanted.items()
         ]
         rows = [job.result() for job in jobs]
+    known = json.loads(RESULTS.read_text()) if RESULTS.exists() else []
+    found = {row["name"]: row for row in [*known, *rows]}
+    rows = [found[name] for name in {**UTERUS, **ELSEWHERE} if name in found]
     RESULTS.parent.mkdir(exist_ok=True)
     RESULTS.write_text(json.dumps(rows, indent=1) + "\n")
     print(table(rows))
