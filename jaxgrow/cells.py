@@ -159,6 +159,7 @@ def make(position: Float[Array, "n 3"], of: Hash, before: Any = None) -> Any:
     room = capacity_for(wanted, least)
     partition = _partition()
     update, cell_list = _functions(of)
+    # arrays that nobody else has, and no program for every shape, as with jnp.asarray
     return partition.NeighborList(
         idx=jax.device_put(np.full((len(points), room), len(points), np.int32)),
         reference_position=jax.device_put(points + _SHIFT),

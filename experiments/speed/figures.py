@@ -26,6 +26,7 @@ LEAST = 1e-16
 STYLES = {
     "jaxgrow auto": "C0o-",
     "jaxgrow lbfgs": "C1s-",
+    "jaxgrow newton": "C5P-",
     "jaxgrow fire": "C2^-",
     "numba lbfgs": "C3D--",
     "jax-md fire": "C4v--",

@@ -158,7 +158,7 @@ def lesion(
     )
     seconds, cpu = (of["jaxgrow"] for of in (measured.seconds, measured.cpu_seconds))
     growth = measured.outcomes["jaxgrow"][-1]
-    apart = {} if options.quick else {"fresh_process": grown(name, divisions, options)}
+    fresh = {} if options.quick else {"fresh_process": grown(name, divisions, options)}
     what = "seconds a division, planting included"
     if bar is not None:
         what = f"seconds over {unit:g}"
@@ -179,7 +179,7 @@ def lesion(
             "tolerance": TOLERANCE,
             "seconds_by_phase": phases(growth, seconds[-1]),
             "compilations": growth.compilations,
-            **apart,
+            **fresh,
         },
     )
 
@@ -243,7 +243,7 @@ def organ_1e5(options: Options) -> Iterator[Row]:
     assert divide.planted.outcome is not None
     stats = made.settled.adapted.relaxation.stats
     state = made.step.state
-    apart = grown("organ", tissue, options)
+    fresh = grown("organ", tissue, options)
     yield Row(
         f"organ-{tissue}",
         f"one division to {TOLERANCE:g} over {tissue} tissue particles, in seconds",
@@ -251,7 +251,7 @@ def organ_1e5(options: Options) -> Iterator[Row]:
         cpu_ratios=measured.cpu_seconds["jaxgrow"],
         seconds=measured.seconds,
         cpu_seconds=measured.cpu_seconds,
-        errors={"residual": stats.residual, "defects": sum(apart["defects"].values())},
+        errors={"residual": stats.residual, "defects": sum(fresh["defects"].values())},
         details={
             "particles": int(get(state.particles.alive).sum()),
             "vertices": int(get(state.membrane.vertex_alive).sum()),
@@ -262,7 +262,7 @@ def organ_1e5(options: Options) -> Iterator[Row]:
             "residual_of_planting": divide.planted.outcome.stats.residual,
             "steps_of_planting": divide.planted.outcome.stats.steps,
             "seconds_by_phase": by_phase,
-            "fresh_process": apart,
+            "fresh_process": fresh,
         },
     )
 

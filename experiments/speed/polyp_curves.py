@@ -32,7 +32,7 @@ from .scenes import grown_polyp, moved, scene_of
 DIVISIONS = 10, 100
 """Of the polyp, in quick mode and in full."""
 
-METHODS: tuple[Method, ...] = ("auto", "lbfgs", "fire")
+METHODS: tuple[Method, ...] = ("auto", "lbfgs", "newton", "fire")
 
 SHARPNESSES = (5.0, 10.0, 20.0, 40.0, 80.0)
 

@@ -7,7 +7,7 @@ from typing import Any
 import jax
 
 from .apart import apart
-from .measure import Options, Row, spread
+from .measure import Options, Row
 
 
 BAR = 2.0
@@ -30,17 +30,17 @@ def start_up(options: Options) -> Iterator[Row]:
     """Seconds before the first division; the first process of all fills the cache."""
     started(options)
     found = [started(options) for _ in range(options.repetitions)]
-    parts = {part: [one[part] for one in found] for part in ("imports", "planting")}
     yield Row(
         "start-up",
         "seconds before the first division of a polyp, in a fresh process, programs on "
         "disk",
         [one["seconds"] for one in found],
         bar=BAR,
-        seconds=parts,
+        seconds={
+            part: [one[part] for one in found] for part in ("imports", "planting")
+        },
         details={
             "programs_loaded": found[-1]["loaded"],
             "programs_compiled": max(one["compiled"] for one in found),
-            "parts": {part: spread(seconds) for part, seconds in parts.items()},
         },
     )

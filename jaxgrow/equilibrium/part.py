@@ -206,7 +206,7 @@ def _cut_particles(
 ) -> Particles:
     chosen = near.particles
     position = get(particles.position)[chosen]
-    padding = parked(room)[len(position) :].astype(position.dtype)
+    padding = parked(room - len(position), len(position)).astype(position.dtype)
     return Particles(
         position=put(np.concatenate([position, padding])),
         species=put(padded(get(particles.species)[chosen], room)),

@@ -69,8 +69,7 @@ def registered(name: str) -> bool:
         handler: Any = import_module(f"jaxgrow.kernels.{name}").handler
         capsule = _new_capsule(handler.address, None, None)
         jax.ffi.register_ffi_target(target(name), capsule, platform="cpu")
-    # XLA refuses handlers for another version by an error of its own, and numba loops
-    # that it can keep in no folder
+    # XLA refuses handlers for another version by an error of its own
     except Exception:
         return False
     return True

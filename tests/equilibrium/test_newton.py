@@ -249,6 +249,12 @@ def test_newton_is_not_asked_where_lbfgs_converges(bed, tolerance):
     assert outcome.stats.method == "lbfgs"
 
 
+@pytest.mark.parametrize("tolerance, reached", [(1e-9, 1e-9), (1e-10, 1e-12)])
+def test_what_may_be_differentiated_goes_beyond_its_tolerance(bed, tolerance, reached):
+    residual = relax(*bed, tolerance=tolerance).stats.residual
+    assert reached / 10 < residual <= reached
+
+
 def test_newton_goes_on_where_lbfgs_does_not_converge(near):
     """With too few steps for it, from near an equilibrium."""
     few = relax(*near["both"], tolerance=1e-10, max_steps=60, method="lbfgs")
