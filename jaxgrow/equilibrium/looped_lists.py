@@ -66,7 +66,8 @@ def listed_by_loops(problem: Problem, before: Lists) -> tuple[Contacts, Contacts
     def listed(room: int) -> Contacts:
         return _contacts(problem, *kernel.contacts(*given, room))
 
-    _, count = kernel.contacts(*given, 0)
+    # no counting where there probably is room for all of them
+    count = 0 if before.candidates is not None else kernel.contacts(*given, 0)[1]
     candidates = fitting(listed, count, before.candidates, LEAST_CANDIDATES)
     wide = layout.Touching(
         *(_own(candidates.particle), _own(candidates.face)),
@@ -77,7 +78,7 @@ def listed_by_loops(problem: Problem, before: Lists) -> tuple[Contacts, Contacts
     def narrowed(room: int) -> Contacts:
         return _contacts(problem, *kernel.near_contacts(*within, room))
 
-    _, count = kernel.near_contacts(*within, 0)
+    count = 0 if before.contacts is not None else kernel.near_contacts(*within, 0)[1]
     return candidates, fitting(narrowed, count, before.contacts, LEAST_CONTACTS)
 
 

@@ -2,7 +2,8 @@
 
 They are those of `jaxgrow.energy.distance`, where the choices are explained. Many pairs
 are measured at once: a block is gathered first, and then nothing in the loop over it
-branches, so that the processor works on eight pairs at a time.
+branches, so that the processor works on eight pairs at a time. Pairs of segments are
+measured one by one, by the host too: their sums are not regrouped.
 """
 
 import math
@@ -11,7 +12,7 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from jaxgrow.kernels.laws import EXACT
+from jaxgrow.kernels.regrouped import regrouped
 
 
 _EPSILON = float(np.finfo(np.float64).eps)
@@ -29,7 +30,7 @@ the closest one, its length, and the weights of two corners (that of the third i
 is left of 1)."""
 
 
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@regrouped
 @no_type_check
 def measure(
     points: np.ndarray,
@@ -78,7 +79,7 @@ def measure(
         )
 
 
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@regrouped
 @no_type_check
 def _measure_block(
     point_x: np.ndarray,
@@ -154,20 +155,20 @@ def _measure_block(
         of_b[k], of_c[k] = v, w
 
 
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 @no_type_check
 def _share(along: float, square: float) -> float:
     """Share of a segment at which it is closest to a point; 0 for length 0."""
     return min(max(along / square, 0.0), 1.0) if square > 0.0 else 0.0
 
 
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 @no_type_check
 def _dot(a: tuple, b: tuple) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 @no_type_check
 def closest_of_segments(
     a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray

@@ -8,7 +8,6 @@ import math
 from typing import no_type_check
 
 import numpy as np
-from numba import njit
 
 from jaxgrow.kernels.closest import (
     closest_of_segments,
@@ -17,12 +16,13 @@ from jaxgrow.kernels.closest import (
     OF_B,
     OF_C,
 )
-from jaxgrow.kernels.laws import a2, branches, EXACT, steepness
+from jaxgrow.kernels.laws import a2, branches, steepness
 from jaxgrow.kernels.layout import Pairs
+from jaxgrow.kernels.regrouped import regrouped
 from jaxgrow.kernels.smooth_minimum import smooth_minima
 
 
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@regrouped
 @no_type_check
 def add_up(
     points: np.ndarray,
@@ -45,7 +45,7 @@ def add_up(
     _add_edges(points, pairs, law, force, clear)
 
 
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@regrouped
 @no_type_check
 def _add_vertices(
     points: np.ndarray,
@@ -96,7 +96,7 @@ def _add_vertices(
                 force[corners[pair, 2], axis] -= part * w
 
 
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@regrouped
 @no_type_check
 def _add_edges(
     points: np.ndarray,

@@ -3,15 +3,16 @@
 from typing import no_type_check
 
 import numpy as np
-from numba import cfunc, njit
+from numba import cfunc
 
 from jaxgrow.kernels import frames
 from jaxgrow.kernels.closest import LENGTH, measure, OF_B, OF_C
-from jaxgrow.kernels.laws import a2, branches, EXACT, steepness
+from jaxgrow.kernels.laws import a2, branches, steepness
+from jaxgrow.kernels.regrouped import regrouped
 from jaxgrow.kernels.smooth_minimum import smooth_minima
 
 
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@regrouped
 @no_type_check
 def add_up(
     position: np.ndarray,

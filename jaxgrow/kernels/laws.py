@@ -6,12 +6,10 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-
-EXACT = {"contract", "nsz", "reassoc", "arcp"}
-"""What may be done to sums and quotients; NaN and infinity stay what they are."""
+from jaxgrow.kernels.regrouped import regrouped
 
 
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@regrouped
 @no_type_check
 def a2(
     u: float, adhesion: float, low: float, blend: float, edge: float, tail: float
@@ -35,7 +33,7 @@ def branches(smoothing: float, cutoff: float) -> tuple[float, float, float, floa
     return np.nextafter(0.5, 0.0), 1e300, np.nextafter(cutoff, 2.0 * cutoff), 1e300
 
 
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@regrouped
 @no_type_check
 def steepness(u: float, margin: float) -> float:
     """Minus the derivative of `jaxgrow.energy.contact.barrier` at u; not negative."""

@@ -10,11 +10,11 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from jaxgrow.kernels.laws import EXACT
 from jaxgrow.kernels.layout import Memory
+from jaxgrow.kernels.regrouped import regrouped
 
 
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@regrouped
 @no_type_check
 def dot(a: np.ndarray, b: np.ndarray) -> float:
     """Scalar product."""
@@ -24,7 +24,7 @@ def dot(a: np.ndarray, b: np.ndarray) -> float:
     return total
 
 
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@regrouped
 @no_type_check
 def _add(
     step: np.ndarray, factor: float, way: np.ndarray, scale: float, along: np.ndarray
@@ -78,7 +78,7 @@ def propose(memory: Memory, force: np.ndarray, step: np.ndarray) -> None:
         along = _add(step, rest, s[slot][:size], 1.0, then)
 
 
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@regrouped
 @no_type_check
 def learn(
     memory: Memory, displacement: np.ndarray, before: np.ndarray, after: np.ndarray

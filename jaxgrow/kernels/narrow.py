@@ -8,15 +8,14 @@ import math
 from typing import no_type_check
 
 import numpy as np
-from numba import njit
 
 from jaxgrow.kernels.closest import closest_of_segments, LENGTH, measure
-from jaxgrow.kernels.laws import EXACT
 from jaxgrow.kernels.layout import Pairs, Touching
+from jaxgrow.kernels.regrouped import regrouped
 from jaxgrow.kernels.touching import pad
 
 
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@regrouped
 @no_type_check
 def find_contacts(
     wide: Touching,
@@ -56,7 +55,7 @@ def find_contacts(
     return count
 
 
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@regrouped
 @no_type_check
 def find_collisions(
     wide: Pairs,

@@ -29,21 +29,27 @@ def find(
         most: near ones of a particle, listed or not, at most. Written.
     """
     count, entries = wide.shape
-    room = listed.shape[0]
+    room, last = listed.shape[0], np.uint32(count - 1)
+    row, near = np.zeros(entries + 1, np.int32), np.zeros(entries, np.uint8)
     most[0] = 0
     for i in range(count):
         x, y, z = position[i, 0], position[i, 1], position[i, 2]
-        found = 0
-        for entry in range(entries if x < AWAY else 0):
-            j = wide[i, entry]
-            if j < count:
-                dx, dy, dz = x - position[j, 0], y - position[j, 1], z - position[j, 2]
-                if dx * dx + dy * dy + dz * dz < square:
-                    if found < room:
-                        listed[found, i] = j
-                    found += 1
-        for empty in range(found, room):
-            listed[empty, i] = count
+        asked = entries if x < AWAY else 0
+        while asked > 0 and wide[i, asked - 1] >= count:
+            asked -= 1
+        for entry in range(asked):
+            # unsigned: no index counts from the end
+            other = np.uint32(wide[i, entry])
+            j = min(other, last)
+            dx, dy, dz = x - position[j, 0], y - position[j, 1], z - position[j, 2]
+            near[entry] = (dx * dx + dy * dy + dz * dz < square) & (other <= last)
+        # without a branch, which would be guessed wrong for each third
+        found = np.uint64(0)
+        for entry in range(asked):
+            row[found] = wide[i, entry]
+            found += np.uint64(near[entry])
+        for entry in range(room):
+            listed[entry, i] = row[entry] if entry < found else count
         most[0] = max(most[0], found)
 
 

@@ -4,14 +4,15 @@ import math
 from typing import no_type_check
 
 import numpy as np
-from numba import cfunc, njit
+from numba import cfunc
 
 from jaxgrow.kernels import frames
-from jaxgrow.kernels.laws import a2, branches, EXACT
+from jaxgrow.kernels.laws import a2, branches
 from jaxgrow.kernels.layout import AWAY
+from jaxgrow.kernels.regrouped import regrouped
 
 
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@regrouped
 @no_type_check
 def add_up(
     position: np.ndarray,

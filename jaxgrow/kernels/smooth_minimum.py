@@ -4,9 +4,8 @@ import math
 from typing import no_type_check
 
 import numpy as np
-from numba import njit
 
-from jaxgrow.kernels.laws import EXACT
+from jaxgrow.kernels.regrouped import regrouped
 
 
 _LEAST = 1e-30
@@ -16,7 +15,7 @@ _LARGEST_WHOLE = 64.0
 """Exponent up to which powers are made by products, if it is a whole one."""
 
 
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@regrouped
 @no_type_check
 def _power(base: float, exponent: float) -> float:
     """A positive base to a power."""
@@ -31,7 +30,7 @@ def _power(base: float, exponent: float) -> float:
     return value
 
 
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@regrouped
 @no_type_check
 def _raise(base: np.ndarray, exponent: float, value: np.ndarray) -> None:
     """Write the powers of a row, which is used up; product after product of all."""
@@ -51,7 +50,7 @@ def _raise(base: np.ndarray, exponent: float, value: np.ndarray) -> None:
         left >>= 1
 
 
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@regrouped
 @no_type_check
 def smooth_minima(
     owner: np.ndarray,

@@ -4,12 +4,11 @@ import math
 from typing import no_type_check
 
 import numpy as np
-from numba import njit
 
-from jaxgrow.kernels.laws import EXACT
+from jaxgrow.kernels.regrouped import regrouped
 
 
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@regrouped
 @no_type_check
 def add_up(
     vertices: np.ndarray,

@@ -12,7 +12,6 @@ import numpy as np
 from numba import njit
 
 from jaxgrow.kernels import collision, contact, pair, springs
-from jaxgrow.kernels.laws import EXACT
 from jaxgrow.kernels.layout import (
     AWAY,
     Bounds,
@@ -29,6 +28,7 @@ from jaxgrow.kernels.layout import (
 )
 from jaxgrow.kernels.lbfgs import dot, learn, propose
 from jaxgrow.kernels.lists import relist
+from jaxgrow.kernels.regrouped import regrouped
 from jaxgrow.results import Result
 
 
@@ -109,7 +109,7 @@ def _masked(force: np.ndarray, free: np.ndarray, into: np.ndarray) -> float:
     return math.sqrt(most)
 
 
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@regrouped
 @no_type_check
 def _bound(
     step: np.ndarray, free: np.ndarray, clear: np.ndarray, largest: float

@@ -10,15 +10,15 @@ import numpy as np
 from numba import njit
 
 from jaxgrow.kernels.closest import LENGTH, measure
-from jaxgrow.kernels.laws import EXACT
 from jaxgrow.kernels.layout import Touching
+from jaxgrow.kernels.regrouped import regrouped
 
 
 _MOST_CELLS = 64
 """Along an axis; cells are larger where there would be more."""
 
 
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@regrouped
 @no_type_check
 def _spheres(
     vertices: np.ndarray, faces: np.ndarray, alive: np.ndarray, radius: float
@@ -94,44 +94,62 @@ def _in_spheres(
         if number[i] >= 0:
             order[free[number[i]]] = i
             free[number[i]] += 1
-    # counted first, then written where each particle's pairs begin
-    begin = np.zeros(count + 1, np.int64)
-    owner, face_of = none, none
-    for writing in (False, True):
-        if writing:
-            for i in range(count):
-                begin[i + 1] += begin[i]
-            owner, face_of = (
-                np.zeros(begin[-1], np.int64),
-                np.zeros(begin[-1], np.int64),
-            )
-        for face in range(len(spheres)):
-            if spheres[face, 3] == 0.0:
-                continue
-            x, y, z = spheres[face, 0], spheres[face, 1], spheres[face, 2]
-            far = spheres[face, 3]
-            for a in range(
-                _cell(x - far, low[0], size, side[0]),
-                _cell(x + far, low[0], size, side[0]) + 1,
+    # by sphere first, without a branch, which would be guessed wrong for each second
+    found, room = 0, 4 * len(order) + 64
+    owner, face_of = np.zeros(room, np.int64), np.zeros(room, np.int64)
+    for face in range(len(spheres)):
+        if spheres[face, 3] == 0.0:
+            continue
+        x, y, z = spheres[face, 0], spheres[face, 1], spheres[face, 2]
+        far = spheres[face, 3]
+        for a in range(
+            _cell(x - far, low[0], size, side[0]),
+            _cell(x + far, low[0], size, side[0]) + 1,
+        ):
+            for b in range(
+                _cell(y - far, low[1], size, side[1]),
+                _cell(y + far, low[1], size, side[1]) + 1,
             ):
-                for b in range(
-                    _cell(y - far, low[1], size, side[1]),
-                    _cell(y + far, low[1], size, side[1]) + 1,
-                ):
-                    row = (a * side[1] + b) * side[2]
-                    start = first[row + _cell(z - far, low[2], size, side[2])]
-                    stop = first[row + _cell(z + far, low[2], size, side[2]) + 1]
-                    for place in range(start, stop):
-                        i = order[place]
-                        dx, dy = position[i, 0] - x, position[i, 1] - y
-                        dz = position[i, 2] - z
-                        if dx * dx + dy * dy + dz * dz < far * far:
-                            if writing:
-                                owner[begin[i]], face_of[begin[i]] = i, face
-                                begin[i] += 1
-                            else:
-                                begin[i + 1] += 1
-    return owner, face_of
+                row = (a * side[1] + b) * side[2]
+                start = first[row + _cell(z - far, low[2], size, side[2])]
+                stop = first[row + _cell(z + far, low[2], size, side[2]) + 1]
+                if found + stop - start >= room:
+                    room = 2 * room + stop - start
+                    owner, face_of = _longer(owner, room), _longer(face_of, room)
+                for place in range(start, stop):
+                    i = order[place]
+                    dx, dy = position[i, 0] - x, position[i, 1] - y
+                    dz = position[i, 2] - z
+                    owner[found], face_of[found] = i, face
+                    found += dx * dx + dy * dy + dz * dz < far * far
+    return _by_owner(owner[:found], face_of[:found], count)
+
+
+@njit(cache=True)
+@no_type_check
+def _longer(before: np.ndarray, room: int) -> np.ndarray:
+    after = np.zeros(room, before.dtype)
+    after[: len(before)] = before
+    return after
+
+
+@njit(cache=True)
+@no_type_check
+def _by_owner(
+    owner: np.ndarray, face_of: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same pairs, those of the first owner first, otherwise in their order."""
+    begin = np.zeros(count + 1, np.int64)
+    for i in owner:
+        begin[i + 1] += 1
+    for i in range(count):
+        begin[i + 1] += begin[i]
+    owner_after, face_after = np.zeros_like(owner), np.zeros_like(face_of)
+    for pair in range(len(owner)):
+        place = begin[owner[pair]]
+        owner_after[place], face_after[place] = owner[pair], face_of[pair]
+        begin[owner[pair]] += 1
+    return owner_after, face_after
 
 
 @njit(cache=True)

@@ -10,7 +10,8 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from jaxgrow.kernels.laws import a2, branches, EXACT
+from jaxgrow.kernels.laws import a2, branches
+from jaxgrow.kernels.regrouped import regrouped
 
 
 _MOST_CELLS = 64
@@ -246,7 +247,7 @@ def _most_around(first: np.ndarray, touched: np.ndarray, steps: np.ndarray) -> i
     return most
 
 
-@njit(cache=True, fastmath=EXACT, error_model="numpy")
+@regrouped
 @no_type_check
 def _add_up(
     point: np.ndarray,

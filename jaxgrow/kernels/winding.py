@@ -6,12 +6,14 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from jaxgrow.kernels.regrouped import regrouped
+
 
 _SMALL = 0.1
 """Tangent of half a solid angle up to which the angle is summed as a series."""
 
 
-@njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+@regrouped
 @no_type_check
 def _small_angles(
     point: np.ndarray,
