@@ -3,38 +3,22 @@
 import itertools
 import operator
 import os
-import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-from multiprocessing import get_context
-from multiprocessing.synchronize import Event
-from pathlib import Path
 from threading import Thread
 from typing import Any
 
 import jax
 
-from jaxgrow.compile_cache import compile_cache
 from jaxgrow.equilibrium.implicit import is_differentiated
 from jaxgrow.grow import grow
 from jaxgrow.growth import Growth
 from jaxgrow.parameters import Parameters
+from jaxgrow.processes import borrow, give_back, quiet
 from jaxgrow.replay import numbers
 from jaxgrow.scene import Scene
-
-
-_SETTINGS = (
-    "jax_enable_x64",
-    "jax_platforms",
-    "jax_default_matmul_precision",
-    "jax_compilation_cache_dir",
-    "jax_persistent_cache_min_compile_time_secs",
-    "jax_persistent_cache_min_entry_size_bytes",
-)
-"""What a process is told of how JAX is configured here."""
 
 
 def grow_many(
@@ -54,7 +38,8 @@ def grow_many(
     makes of its seed in a process with one thread. Other processes take some seconds
     to start, a gigabyte each, and share compiled programs through the cache on disk:
     the one that JAX is configured with, or else that of the command. Each takes a
-    member as soon as it is free.
+    member as soon as it is free. They wait five minutes for the next call, which then
+    starts none.
 
     Processes import the script that started them anew, as always with Python's
     `multiprocessing`. So it must be a file, with what is not to be repeated under a
@@ -107,21 +92,17 @@ def grow_many(
     members = list(zip(seeds, each, strict=True))
     if min(processes, len(members)) <= 1:
         return tuple(_told(_grow(scene, *m, options), finished) for m in members)
-    started = get_context("spawn").Event()
-    others = min(processes, len(members)) - 1
-    pool = ProcessPoolExecutor(
-        others, get_context("spawn"), _prepare, (_settings(), started)
-    )
+    others = borrow(min(processes, len(members)) - 1)
     shared = _Shared(members, finished)
     try:
-        with _quiet():
+        with quiet():
             threads = [
                 Thread(
                     target=shared.hand_out,
-                    args=(shared.waiting.popleft(), pool, scene, options),
+                    args=(shared.waiting.popleft(), others.pool, scene, options),
                     daemon=True,
                 )
-                for _ in range(others)
+                for _ in range(others.count)
             ]
             for thread in threads:
                 thread.start()
@@ -135,12 +116,11 @@ def grow_many(
         shared.look()
     except BaseException as error:
         shared.waiting.clear()
-        _end(pool)
+        others.end()
         if isinstance(error, BrokenProcessPool):
-            raise RuntimeError(_why_broken(started)) from error
+            raise RuntimeError(others.why_broken()) from error
         raise
-    # they end by themselves, which takes them a second
-    pool.shutdown(wait=False)
+    give_back(others)
     return tuple(shared.grown[number] for number in range(len(members)))
 
 
@@ -246,80 +226,8 @@ def _told(growth: Growth, finished: Callable[[Growth], None] | None) -> Growth:
     return growth
 
 
-_LOG_LEVEL = "TF_CPP_MIN_LOG_LEVEL"
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Processes that start in the block leave out what XLA says of its cache.
-
-    Where nobody has chosen a level, importing JAX has set it to 1, which shows that.
-    """
-    own = os.environ.get(_LOG_LEVEL)
-    if own in (None, "1"):
-        os.environ[_LOG_LEVEL] = "3"
-    try:
-        yield
-    finally:
-        if own is None:
-            os.environ.pop(_LOG_LEVEL, None)
-        else:
-            os.environ[_LOG_LEVEL] = own
-
-
-def _end(pool: ProcessPoolExecutor) -> None:
-    """End the processes of a pool without waiting for their members.
-
-    To be ``pool.terminate_workers()`` once Python 3.14 is the oldest that is supported.
-    """
-    processes = list((pool._processes or {}).values())
-    pool.shutdown(wait=False, cancel_futures=True)
-    for process in processes:
-        process.terminate()
-    for process in processes:
-        process.join()
-
-
-def _why_broken(started: Event) -> str:
-    """The sentence for a process that is gone; `started` is set if one ever worked."""
-    if started.is_set():
-        return (
-            "a process of grow_many ended without an answer, mostly for want of "
-            "memory; ask for fewer processes."
-        )
-    script = getattr(sys.modules["__main__"], "__file__", None)
-    if script is not None and not Path(script).exists():
-        return (
-            "no process of grow_many could start, because each imports the script "
-            f"anew, and {script} is no file; write the script to one."
-        )
-    return (
-        "no process of grow_many could start, because each imports the script anew; "
-        'call grow_many under if __name__ == "__main__": there.'
-    )
-
-
 def _cores() -> int:
     """Cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def _settings() -> dict[str, Any]:
-    """How JAX is configured here; with a cache of compiled programs in any case."""
-    settings = {name: getattr(jax.config, name) for name in _SETTINGS}
-    if settings["jax_compilation_cache_dir"] is None:
-        folder = compile_cache()
-        settings["jax_compilation_cache_dir"] = None if folder is None else str(folder)
-        settings["jax_persistent_cache_min_compile_time_secs"] = 0.0
-        settings["jax_persistent_cache_min_entry_size_bytes"] = -1
-    return settings
-
-
-def _prepare(settings: dict[str, Any], started: Event) -> None:
-    """Set a process up, before it computes anything."""
-    started.set()
-    os.environ["NPROC"] = "1"  # threads of XLA
-    for name, value in settings.items():
-        jax.config.update(name, value)

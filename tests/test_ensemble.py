@@ -247,16 +247,6 @@ if __name__ == "__main__":
     assert done.stdout.splitlines() == [str(seen)], done.stderr
 
 
-@pytest.mark.parametrize("own, members", [(None, "3"), ("1", "3"), ("0", "0")])
-def test_level_of_the_log_is_the_users_if_there_is_one(monkeypatch, own, members):
-    name = "TF_CPP_MIN_LOG_LEVEL"
-    monkeypatch.setenv(name, "?")
-    monkeypatch.delenv(name) if own is None else monkeypatch.setenv(name, own)
-    with ensemble._quiet():
-        assert os.environ[name] == members
-    assert os.environ.get(name) == own
-
-
 def test_derivative_through_processes_is_refused():
     def size(value):
         varied = replace(Parameters(), adhesion=value)
