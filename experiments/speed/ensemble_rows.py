@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 import jaxgrow as jg
+from jaxgrow.processes import end_kept
 
 from .measure import measure_in_turns, Options, Row
 
@@ -81,28 +82,41 @@ def divisions_per_step(options: Options) -> Iterator[Row]:
 
 
 def ensemble(options: Options) -> Iterator[Row]:
-    """Members in this process and another one, over one after the other in this one."""
+    """Members in this process and another one, over one after the other in this one.
+
+    The other process waits for it since the call before, or has to start.
+    """
     members, divisions = (4, 24) if options.quick else (8, 200)
     scene = polyp(divisions)
 
     def grown(processes: int) -> list[jg.Growth]:
         return list(jg.grow_many(scene, seeds=range(members), processes=processes))
 
+    def started() -> list[jg.Growth]:
+        end_kept()
+        return grown(2)
+
     measured = measure_in_turns(
-        {"two": lambda _: grown(2), "one": lambda _: grown(1)},
+        {
+            "start": lambda _: started(),
+            "two": lambda _: grown(2),
+            "one": lambda _: grown(1),
+        },
         options.limited(),
         shortest=0.0,
     )
-    two, one = (shapes(measured.outcomes[name][-1]) for name in ("two", "one"))
-    yield Row(
-        "ensemble",
-        f"{members} polyps of {divisions} divisions: one after the other over two "
-        "processes, start included",
-        # seconds only: those of the processor leave out the other processes
-        ratios=measured.compare("one", "two")["ratios"],
-        bar=1.8,
-        side="least",
-        seconds=measured.seconds,
-        errors={"largest_relative_difference": float(np.abs(two / one - 1).max())},
-        details={"members": members, "divisions": divisions},
-    )
+    one = shapes(measured.outcomes["one"][-1])
+    for name, way, bar in (("two", "", 1.8), ("start", "-start", None)):
+        two = shapes(measured.outcomes[name][-1])
+        yield Row(
+            f"ensemble{way}",
+            f"{members} polyps of {divisions} divisions: one after the other over two "
+            f"processes, {'start included' if way else 'in a second call'}",
+            # seconds only: those of the processor leave out the other processes
+            ratios=measured.compare("one", name)["ratios"],
+            bar=bar,
+            side="least",
+            seconds={key: measured.seconds[key] for key in (name, "one")},
+            errors={"largest_relative_difference": float(np.abs(two / one - 1).max())},
+            details={"members": members, "divisions": divisions},
+        )
