@@ -18,16 +18,12 @@ registered, and `registered` tells so.
 
 import ctypes
 import functools
-import os
-import subprocess
-import sys
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 import jax
 
-from jaxgrow.kernels import kept_in, wanted
+from jaxgrow.kernels import wanted
 
 
 _new_capsule = ctypes.PYFUNCTYPE(
@@ -40,20 +36,6 @@ def target(name: str) -> str:
     return f"jaxgrow_{name}"
 
 
-def _compile_apart(name: str) -> None:
-    """Compile a handler that is not on disk in a process of its own.
-
-    A process that compiles loops also holds those that they call as they are by
-    themselves, rounded otherwise than within a handler, and may take these: the first
-    growth after an installation would not be that of all others, bit for bit.
-    """
-    if not any(kept_in().glob(f"{name}.handler-*.nbi")):
-        command = [sys.executable, "-c", f"import jaxgrow.kernels.{name}"]
-        path = os.pathsep.join([str(Path(__file__).parents[2]), *sys.path])
-        environment = {**os.environ, "PYTHONPATH": path}
-        subprocess.run(command, env=environment, capture_output=True, check=False)
-
-
 @functools.cache
 def registered(name: str) -> bool:
     """Whether XLA can call the handler of that name now; registered at the first call.
@@ -63,7 +45,6 @@ def registered(name: str) -> bool:
     """
     if not wanted():
         return False
-    _compile_apart(name)
     try:
         # not above: numba takes half a second to import
         handler: Any = import_module(f"jaxgrow.kernels.{name}").handler
