@@ -4,6 +4,7 @@ One needs seconds to start: it imports JAX and loads compiled programs.
 """
 
 import os
+import signal
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -50,6 +51,12 @@ class Processes:
     surroundings: tuple[dict[str, Any], dict[str, str]]
     started: Event
 
+    def are_well(self) -> bool:
+        """Whether none was ended from outside."""
+        return not self.pool._broken and all(
+            process.is_alive() for process in (self.pool._processes or {}).values()
+        )
+
     def end(self) -> None:
         """End them without waiting for their work.
 
@@ -91,7 +98,8 @@ def borrow(count: int) -> Processes:
     surroundings = _settings(), dict(os.environ)
     found = _take()
     if found is not None:
-        if found.count == count and found.surroundings == surroundings:
+        as_new = found.count == count and found.surroundings == surroundings
+        if as_new and found.are_well():
             return found
         found.pool.shutdown(wait=False)
     context = get_context("spawn")
@@ -164,6 +172,8 @@ def _prepare(settings: dict[str, Any], started: Event) -> None:
     """Set a process up, before it computes anything."""
     started.set()
     Thread(target=_end_with_parent, daemon=True).start()
+    # from the keyboard it reaches all processes, and may mean anything while they wait
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ["NPROC"] = "1"  # threads of XLA
     for name, value in settings.items():
         jax.config.update(name, value)

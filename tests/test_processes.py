@@ -11,6 +11,9 @@ import pytest
 from jaxgrow import processes
 
 
+POSIX = pytest.mark.skipif(os.name != "posix", reason="sends signals")
+
+
 @pytest.fixture(autouse=True)
 def nothing_kept():
     processes.end_kept()
@@ -78,7 +81,30 @@ def test_the_wait_begins_anew_with_every_call(monkeypatch):
     kept.end()
 
 
-@pytest.mark.skipif(os.name != "posix", reason="kills a process")
+@POSIX
+def test_an_interrupt_while_they_wait_does_not_end_them():
+    kept = processes.borrow(1)
+    (number,) = numbers(kept)
+    processes.give_back(kept)
+    os.kill(number, signal.SIGINT)
+    again = processes.borrow(1)
+    assert numbers(again) == {number}
+    again.end()
+
+
+@POSIX
+def test_those_that_were_ended_while_they_waited_are_not_given():
+    kept = processes.borrow(1)
+    (number,) = numbers(kept)
+    processes.give_back(kept)
+    os.kill(number, signal.SIGKILL)
+    assert has_ended(number)
+    other = processes.borrow(1)
+    assert numbers(other) != {number}
+    other.end()
+
+
+@POSIX
 def test_they_end_with_the_one_that_started_them(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
