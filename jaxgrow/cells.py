@@ -1,8 +1,9 @@
 """Wide neighbour lists by jax-md's cells: the only module that imports jax-md.
 
-`make` runs on the host and decides capacities; `relist` runs in compiled code. Both
-leave the list itself, and the search for it, to jax-md; of many points, jax-md finds
-the cells, and neighbours are searched for in them here, in portions.
+`make` runs on the host and decides capacities, `filled_on_host` fills a list there by
+loops, and `relist` runs in compiled code. The list itself, and the search for it where
+there is no loop, are jax-md's; of many points, jax-md finds the cells, and neighbours
+are searched for in them here, in portions.
 """
 
 import contextlib
@@ -23,6 +24,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt
 from scipy.spatial import KDTree
 
 from jaxgrow.capacity import capacity_for
+from jaxgrow.kernels import loops
 from jaxgrow.kernels.ffi import registered, target
 from jaxgrow.words import first_true
 
@@ -220,6 +222,47 @@ def relist(
         reference_position=position + _SHIFT,
         error=_partition().PartitionError(code),
     )
+
+
+def filled_on_host(
+    wide: Any, position: Float[Array, "n 3"], radius: float, room: int, *, anew: bool
+) -> tuple[Any, Int[Array, "k n"], int] | None:
+    """A wide list and the near one in it by loops, for which no program is loaded.
+
+    Args:
+        wide: a list of so many points.
+        position: in r0, as values.
+        radius: that near neighbours are closer than, in r0.
+        room: for near neighbours of a point.
+        anew: whether the wide list is to be made for these positions.
+
+    Returns:
+        The wide list, the near one (neighbour-major; n for an empty entry), and how
+        many near neighbours a point has at most; None where there are no loops.
+    """
+    if any(device.platform != "cpu" for device in position.devices()):
+        return None
+    points = np.array(position)  # loops know no array that is read only
+    kernel = loops("anew", points)
+    if kernel is None:
+        return None
+    if anew:
+        of = Hash.of(len(points), wide.cell_size)
+        entries, most = kernel.wide_neighbors(
+            points, of.size, of.radius, of.cells, wide.max_occupancy
+        )
+        full = most > wide.max_occupancy
+        code = int(wide.error.code)
+        code |= int(_partition().PartitionErrorCode.NEIGHBOR_LIST_OVERFLOW) * full
+        # arrays that nobody else has
+        wide = dataclasses.replace(
+            wide,
+            idx=jax.device_put(entries),
+            reference_position=jax.device_put(points + _SHIFT),
+            error=_partition().PartitionError(jax.device_put(np.uint8(code))),
+        )
+    listed, most = kernel.near_neighbors(points, np.array(wide.idx), radius, room)
+    return wide, jax.device_put(listed), int(most)
 
 
 def _by_loop(

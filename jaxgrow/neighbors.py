@@ -122,8 +122,19 @@ def _only_near_is_full(
     )
 
 
-@functools.partial(jax.jit, static_argnums=2, static_argnames="relist")
 def _filled(
+    position: Float[Array, "n 3"], wide: Any, room: int, *, relist: bool
+) -> Neighbors:
+    """The lists for these positions; near ones with so much room."""
+    made = cells.filled_on_host(wide, position, CUTOFF + SKIN, room, anew=relist)
+    if made is None:
+        return _filled_by_program(position, wide, room, relist=relist)
+    wide, listed, most = made
+    return Neighbors(listed, position, jax.device_put(most > room), wide)
+
+
+@functools.partial(jax.jit, static_argnums=2, static_argnames="relist")
+def _filled_by_program(
     position: Float[Array, "n 3"], wide: Any, room: int, *, relist: bool
 ) -> Neighbors:
     if relist:

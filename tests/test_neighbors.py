@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from jaxgrow import cells, neighbors as nb
+from jaxgrow import cells, kernels, neighbors as nb
 from jaxgrow.energy.a2 import CUTOFF
 from jaxgrow.transfer import parked
 
@@ -377,3 +377,33 @@ def test_a_full_near_list_is_not_made_from_a_wide_one_that_does_not_hold():
     full = nb.Neighbors(before.listed, before.reference, jnp.asarray(True), before.wide)
     far = box(16)
     assert pairs_of(nb.allocate(jnp.asarray(far), full), far) == pairs_by_tree(far)
+
+
+@pytest.mark.parametrize("room", [40, 8])
+@pytest.mark.parametrize("crowd", [1.0, 0.3])
+def test_lists_made_on_the_host_are_those_of_the_program(room, crowd):
+    if not kernels.wanted():
+        pytest.skip("there are no loops here")
+    position = np.concatenate([box(0, scale=5.0, count=256), parked(3)])
+    empty = nb.allocate(jnp.asarray(position)).wide
+    # where it is more crowded the wide list is too small
+    position[:256] *= crowd
+    position = jnp.asarray(position)
+    found = cells.filled_on_host(empty, position, CUTOFF + nb.SKIN, room, anew=True)
+    assert found is not None
+    wide, listed, most = found
+    wanted = nb._filled_by_program(position, empty, room, relist=True)
+    assert (most > room) == bool(wanted.full)
+    assert bool(wide.error.code) == (crowd < 0.5)
+    assert int(wide.error.code) == int(wanted.wide.error.code)
+    for ours, theirs in (
+        (wide.idx, wanted.wide.idx),
+        (wide.reference_position, wanted.wide.reference_position),
+        (listed, wanted.listed),
+    ):
+        np.testing.assert_array_equal(np.asarray(ours), np.asarray(theirs))
+        assert ours.dtype == theirs.dtype
+    again = cells.filled_on_host(wide, position, CUTOFF + nb.SKIN, room, anew=False)
+    assert again is not None
+    assert again[0] is wide
+    np.testing.assert_array_equal(np.asarray(again[1]), np.asarray(listed))

@@ -8,9 +8,34 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
+from jaxgrow.kernels import cells, near
 from jaxgrow.kernels.layout import Pairs, Touching
 from jaxgrow.kernels.narrow import find_collisions, find_contacts
 from jaxgrow.kernels.touching import list_all
+
+
+@njit(cache=True)
+@no_type_check
+def wide_neighbors(
+    position: np.ndarray, size: float, radius: float, side: int, room: int
+) -> tuple[np.ndarray, int]:
+    """Neighbours of each particle, see `jaxgrow.kernels.cells.find`."""
+    count, most = len(position), np.zeros(1, np.int32)
+    entries = np.zeros((count, room), np.int32)
+    asked = np.ones(count, np.bool_)
+    cells.find(position, size, radius, side, asked, entries, most)
+    return entries, most[0]
+
+
+@njit(cache=True)
+@no_type_check
+def near_neighbors(
+    position: np.ndarray, wide: np.ndarray, radius: float, room: int
+) -> tuple[np.ndarray, int]:
+    """Those of a wide list, see `jaxgrow.kernels.near.find`."""
+    listed, most = np.zeros((room, len(position)), np.int32), np.zeros(1, np.int32)
+    near.find(position, wide, radius * radius, listed, most)
+    return listed, most[0]
 
 
 @njit(cache=True)
