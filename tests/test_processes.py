@@ -27,6 +27,14 @@ def numbers(borrowed):
         return {borrowed.pool.submit(os.getpid).result(timeout=120)}
 
 
+def waiting():
+    """A process that is kept, and the loan that it was started for."""
+    kept = processes.borrow(1)
+    (number,) = numbers(kept)
+    processes.give_back(kept)
+    return kept, number
+
+
 def has_ended(number):
     """Whether a process is gone, within seconds."""
     for _ in range(300):
@@ -39,9 +47,7 @@ def has_ended(number):
 
 
 def test_the_next_call_takes_the_same_processes_if_nothing_has_changed(monkeypatch):
-    first = processes.borrow(1)
-    (number,) = numbers(first)
-    processes.give_back(first)
+    _, number = waiting()
     again = processes.borrow(1)
     assert numbers(again) == {number}
     processes.give_back(again)
@@ -64,9 +70,7 @@ def test_those_at_work_are_not_given_twice():
 
 def test_they_end_after_a_while(monkeypatch):
     monkeypatch.setattr(processes, "KEPT_SECONDS", 0.2)
-    kept = processes.borrow(1)
-    (number,) = numbers(kept)
-    processes.give_back(kept)
+    kept, number = waiting()
     assert has_ended(number)
     assert processes.borrow(1) is not kept
 
@@ -83,9 +87,7 @@ def test_the_wait_begins_anew_with_every_call(monkeypatch):
 
 @POSIX
 def test_an_interrupt_while_they_wait_does_not_end_them():
-    kept = processes.borrow(1)
-    (number,) = numbers(kept)
-    processes.give_back(kept)
+    _, number = waiting()
     os.kill(number, signal.SIGINT)
     again = processes.borrow(1)
     assert numbers(again) == {number}
@@ -94,9 +96,7 @@ def test_an_interrupt_while_they_wait_does_not_end_them():
 
 @POSIX
 def test_those_that_were_ended_while_they_waited_are_not_given():
-    kept = processes.borrow(1)
-    (number,) = numbers(kept)
-    processes.give_back(kept)
+    _, number = waiting()
     os.kill(number, signal.SIGKILL)
     assert has_ended(number)
     other = processes.borrow(1)

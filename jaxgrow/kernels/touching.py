@@ -113,9 +113,9 @@ def _in_spheres(
                 row = (a * side[1] + b) * side[2]
                 start = first[row + _cell(z - far, low[2], size, side[2])]
                 stop = first[row + _cell(z + far, low[2], size, side[2]) + 1]
-                if found + stop - start >= room:
-                    room = 2 * room + stop - start
-                    owner, face_of = _longer(owner, room), _longer(face_of, room)
+                if found + stop - start >= len(owner):
+                    more = np.zeros(len(owner) + stop - start, np.int64)
+                    owner, face_of = np.append(owner, more), np.append(face_of, more)
                 for place in range(start, stop):
                     i = order[place]
                     dx, dy = position[i, 0] - x, position[i, 1] - y
@@ -123,14 +123,6 @@ def _in_spheres(
                     owner[found], face_of[found] = i, face
                     found += dx * dx + dy * dy + dz * dz < far * far
     return _by_owner(owner[:found], face_of[:found], count)
-
-
-@njit(cache=True)
-@no_type_check
-def _longer(before: np.ndarray, room: int) -> np.ndarray:
-    after = np.zeros(room, before.dtype)
-    after[: len(before)] = before
-    return after
 
 
 @njit(cache=True)
