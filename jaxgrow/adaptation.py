@@ -16,7 +16,8 @@ from scipy.spatial import KDTree
 from jaxgrow import kernels
 from jaxgrow.collisions import CollisionFinder
 from jaxgrow.energy.a2 import CUTOFF
-from jaxgrow.equilibrium.problem import LARGEST_STEP, Lists
+from jaxgrow.equilibrium.lists import Lists
+from jaxgrow.equilibrium.problem import LARGEST_STEP
 from jaxgrow.equilibrium.relax import relax, Relaxation
 from jaxgrow.mesh.sheet import Walls
 from jaxgrow.neighbors import FEW

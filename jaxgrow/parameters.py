@@ -22,8 +22,10 @@ _RANGES = {
     "adhesion": (0.0, math.inf),
     "smoothing": (0.0, 0.5),
     "tumour_stiffness": (0.0, math.inf),
+    "mixed_adhesion": (0.0, math.inf),
     "spring_stiffness": (0.0, math.inf),
     "pretension": (0.0, 0.9),
+    "bending_stiffness": (0.0, math.inf),
     "contact_range": (0.1, 2.0),
     "contact_stiffness": (0.0, math.inf),
     "contact_adhesion": (0.0, math.inf),
@@ -49,9 +51,13 @@ class Parameters(eqx.Module):
             0 is the printed law.
         tumour_stiffness: factor s of the pair energy between two tumour particles;
             all other pairs have 1. A stiff myoma core has s > 1.
+        mixed_adhesion: factor c of the attraction between a tumour particle and one of
+            the tissue; 1 is the printed law, less separates the two.
         spring_stiffness: k of every membrane edge, in F(0)/r0.
         pretension: share τ by which a spring's rest length falls short of its length
             when it is reset; 0 is the paper's reset (see `jaxgrow.energy.springs`).
+        bending_stiffness: modulus κ of the membrane's bending, in F(0) r0; 0 is the
+            paper's membrane (see `jaxgrow.energy.bending`).
         contact_range: distance r_s, in r0, at which a particle rests from the membrane.
         contact_stiffness: factor of the contact force between particle and membrane.
         contact_adhesion: factor of the attractive branch of that force.
@@ -72,8 +78,10 @@ class Parameters(eqx.Module):
     adhesion: Scalar = 0.2
     smoothing: Scalar = 0.1
     tumour_stiffness: Scalar = 1.0
+    mixed_adhesion: Scalar = 1.0
     spring_stiffness: Scalar = 0.04
     pretension: Scalar = 0.2
+    bending_stiffness: Scalar = 0.0
     contact_range: Scalar = 0.7
     contact_stiffness: Scalar = 1.0
     contact_adhesion: Scalar = 0.3

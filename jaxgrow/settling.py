@@ -13,7 +13,7 @@ from jaxgrow.border import Border
 from jaxgrow.clock import Clock
 from jaxgrow.collisions import CollisionFinder
 from jaxgrow.equilibrium.listing import stale
-from jaxgrow.equilibrium.problem import Lists
+from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.relax import relax
 from jaxgrow.events import Settling
 from jaxgrow.mesh.fairing import fair

@@ -48,8 +48,11 @@ class Membrane(eqx.Module):
     Attributes:
         vertices: in r0.
         faces: vertices of each triangle, counter-clockwise seen from the lumen.
-        edges: vertices of each edge, every edge once; its springs.
-        rest_length: of each edge, in r0.
+        edges: vertices of each edge, every edge once.
+        opposite: the third vertices of the triangles at each edge: of the one that has
+            the edge in its direction, and of the other; -1 where there is none.
+        rest: rest data of each term of the elasticity that the membrane has, by its
+            name (see `jaxgrow.energy.term.MembraneTerm`).
         vertex_alive: False for padding; likewise `face_alive`, `edge_alive`.
         pinned: True for the vertices of the rim, which never move.
         source: the vertex that emits a polyp's particles; -1 if there is none.
@@ -58,7 +61,8 @@ class Membrane(eqx.Module):
     vertices: Float[Array, "m 3"]
     faces: Int[Array, "f 3"]
     edges: Int[Array, "e 2"]
-    rest_length: Float[Array, " e"]
+    opposite: Int[Array, "e 2"]
+    rest: dict[str, Float[Array, "k _"]]
     vertex_alive: Bool[Array, " m"]
     face_alive: Bool[Array, " f"]
     edge_alive: Bool[Array, " e"]
@@ -70,11 +74,28 @@ class Membrane(eqx.Module):
         """Vertices that equilibrium may move."""
         return self.vertex_alive & ~self.pinned
 
+    @property
+    def rest_length(self) -> Float[Array, " e"]:
+        """Length at rest of the spring on each edge, in r0."""
+        return self.rest["springs"][:, 0]
+
+    def with_rest_length(self, length: Float[Array, " e"]) -> "Membrane":
+        """Return the same membrane with springs of other lengths at rest, in r0."""
+        return self.with_rest({**self.rest, "springs": length[:, None]})
+
+    def with_rest(self, rest: dict[str, Float[Array, "k _"]]) -> "Membrane":
+        """Return the same membrane with other rest data."""
+        return Membrane(
+            *(self.vertices, self.faces, self.edges, self.opposite, rest),
+            *(self.vertex_alive, self.face_alive, self.edge_alive),
+            *(self.pinned, self.source),
+        )
+
     def at(self, vertices: Float[Array, "m 3"]) -> "Membrane":
         """The same membrane elsewhere."""
         return Membrane(
             vertices,
-            *(self.faces, self.edges, self.rest_length),
+            *(self.faces, self.edges, self.opposite, self.rest),
             *(self.vertex_alive, self.face_alive, self.edge_alive),
             *(self.pinned, self.source),
         )

@@ -8,7 +8,6 @@ to positions stays on the device, so that it can be differentiated; only what is
 
 from typing import NamedTuple, TypeVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +15,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxgrow.capacity import capacity_for
-from jaxgrow.energy.springs import edge_length
+from jaxgrow.energy.terms import MEMBRANE_TERMS
 from jaxgrow.mesh.surface import average_parents, Remeshing, Surface
 from jaxgrow.mesh.topology import build_topology
 from jaxgrow.state import Membrane, Particles
@@ -185,7 +184,6 @@ def put_remeshed(membrane: Membrane, remeshing: Remeshing) -> Membrane:
 
 
 _average = jax.jit(average_parents)
-_edge_length = jax.jit(edge_length)
 
 
 def _vertex_capacity(mesh: Surface | Remeshing, most: int = 0) -> int:
@@ -196,9 +194,17 @@ def _vertex_capacity(mesh: Surface | Remeshing, most: int = 0) -> int:
     return capacity_for(needed, 256)
 
 
+@jax.jit
+def _rest(membrane: Membrane) -> dict[str, Float[Array, "k _"]]:
+    return {term.name: term.at_rest(membrane) for term in MEMBRANE_TERMS}
+
+
 def reset_springs(membrane: Membrane) -> Membrane:
-    """All springs at rest: "assigned a new equilibrium length" (paper §4)."""
-    return eqx.tree_at(lambda m: m.rest_length, membrane, _edge_length(membrane))
+    """Put all springs and hinges at rest where they are.
+
+    Springs are "assigned a new equilibrium length" (paper §4).
+    """
+    return membrane.with_rest(_rest(membrane.with_rest({})))
 
 
 def _at_rest(vertices: Float[Array, "m 3"], mesh: Surface | Remeshing) -> Membrane:
@@ -211,7 +217,8 @@ def _at_rest(vertices: Float[Array, "m 3"], mesh: Surface | Remeshing) -> Membra
         vertices=vertices,
         faces=put(padded(mesh.faces, 2 * capacity)),
         edges=put(padded(edges, 3 * capacity)),
-        rest_length=put(np.zeros(3 * capacity, vertices.dtype)),
+        opposite=put(padded(topology.opposite, 3 * capacity, -1)),
+        rest={},
         vertex_alive=put(np.arange(capacity) < len(mesh.fixed)),
         face_alive=put(np.arange(2 * capacity) < faces),
         edge_alive=put(np.arange(3 * capacity) < len(edges)),

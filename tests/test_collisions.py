@@ -10,7 +10,8 @@ from jaxgrow.energy.collision import collision_energy
 from jaxgrow.equilibrium.descent import descend
 from jaxgrow.equilibrium.fire import FIRE
 from jaxgrow.equilibrium.lbfgs import LBFGS
-from jaxgrow.equilibrium.problem import Lists, Problem
+from jaxgrow.equilibrium.lists import Lists
+from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.relax import relax
 from jaxgrow.mesh.intersection import intersecting_pairs
 from jaxgrow.mesh.sheet import Walls

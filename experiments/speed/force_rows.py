@@ -9,7 +9,8 @@ from jaxtyping import Float
 
 from jaxgrow import cells
 from jaxgrow.equilibrium.listing import allocate_lists
-from jaxgrow.equilibrium.problem import Lists, Problem
+from jaxgrow.equilibrium.lists import Lists
+from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.neighbors import find_near
 from jaxgrow.state import Nodes
 from jaxgrow.transfer import get

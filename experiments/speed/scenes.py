@@ -11,7 +11,8 @@ from jaxtyping import Bool, Float, Int
 
 import jaxgrow as jg
 from jaxgrow.equilibrium.listing import allocate_lists
-from jaxgrow.equilibrium.problem import Lists, Problem
+from jaxgrow.equilibrium.lists import Lists
+from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.state import Nodes
 from jaxgrow.transfer import get, put_particles
 

@@ -28,6 +28,7 @@ energy at u = 1/2. :math:`\epsilon = 0` is the printed law, to the last digit.
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -64,8 +65,8 @@ class A2(eqx.Module):
     smoothing: Scalar = 0.0
 
     def force(self, u: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-        """Force in units of F(0) at distance u (in r0); positive repels."""
-        width, some = self._width(u)
+        """Return the force in units of F(0) at distance u (in r0); positive repels."""
+        width, some = _width(u, self.smoothing)
         near = 1 - u**2
         far = (1 - u) * (2 - u) / 2
         share = jnp.clip((u - (0.5 - width)) / (2 * some), 0, 1)
@@ -76,53 +77,77 @@ class A2(eqx.Module):
         return near * (1 - share) + far * share * scale
 
     def energy(self, u: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-        r"""Energy :math:`U(u) = \int_u^{3/2} F` in units of F(0) r0; U(3/2) = 0.
+        r"""Return :math:`U(u) = \int_u^{3/2} F` in units of F(0) r0; U(3/2) = 0.
 
-        Each branch is a polynomial and is integrated exactly; the sum over the
-        branches of the integral over their part beyond u is continuous by
-        construction.
+        Its derivative in u is minus `force`, not that of the integrated formula, which
+        is the same but for rounding.
         """
-        width, some = self._width(u)
-        start, stop = 0.5 - width, 0.5 + width
+        law = jax.tree.map(lambda number: jnp.asarray(number, u.dtype), self)
+        return _energy(law, u)
 
-        def beyond(
-            integral: Float[Array, "*shape"], end: Float[Array, ""]
-        ) -> Float[Array, "*shape"]:
-            return end - integral
 
-        inner = jnp.minimum(u, start)
-        value = beyond(_near_integral(inner), _near_integral(start))
+def _width(
+    u: Float[Array, "..."], smoothing: Scalar
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """The smoothing in the precision of u, and a copy that may be divided by."""
+    width = jnp.asarray(smoothing, u.dtype)
+    return width, jnp.where(width > 0, width, 1)
 
-        blend = jnp.clip(u, start, stop)
-        value += beyond(_near_integral(blend), _near_integral(stop))
 
-        def blend_integral(v: Float[Array, "..."]) -> Float[Array, "..."]:
-            # weight (v - start) / 2ε times the difference 3/2 (v² - v) of the branches
-            return 0.75 / some * (v**4 / 4 - (1 + start) * v**3 / 3 + start * v**2 / 2)
+def _integral(law: A2, u: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    """The integral of the force beyond u.
 
-        value += jnp.where(
-            width > 0, beyond(blend_integral(blend), blend_integral(stop)), 0
-        )
+    Each branch is a polynomial and is integrated exactly; the sum over the branches of
+    the integral over their part beyond u is continuous by construction.
+    """
+    width, some = _width(u, law.smoothing)
+    start, stop = 0.5 - width, 0.5 + width
 
-        one = jnp.ones_like(width)
-        value += beyond(_far_integral(jnp.clip(u, stop, one)), _far_integral(one))
+    def beyond(
+        integral: Float[Array, "*shape"], end: Float[Array, ""]
+    ) -> Float[Array, "*shape"]:
+        return end - integral
 
-        edge = CUTOFF - width
-        attraction = beyond(_far_integral(jnp.clip(u, one, edge)), _far_integral(edge))
+    inner = jnp.minimum(u, start)
+    value = beyond(_near_integral(inner), _near_integral(start))
 
-        def taper_integral(v: Float[Array, "..."]) -> Float[Array, "..."]:
-            return (3 * v - 3.25 * v**2 + 1.5 * v**3 - v**4 / 4) / (2 * some)
+    blend = jnp.clip(u, start, stop)
+    value += beyond(_near_integral(blend), _near_integral(stop))
 
-        tail = jnp.clip(u, edge, CUTOFF)
-        end = jnp.full_like(width, CUTOFF)
-        attraction += jnp.where(
-            width > 0, beyond(taper_integral(tail), taper_integral(end)), 0
-        )
-        return value + self.adhesion * attraction
+    def blend_integral(v: Float[Array, "..."]) -> Float[Array, "..."]:
+        # weight (v - start) / 2ε times the difference 3/2 (v² - v) of the branches
+        return 0.75 / some * (v**4 / 4 - (1 + start) * v**3 / 3 + start * v**2 / 2)
 
-    def _width(
-        self, u: Float[Array, "..."]
-    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """The smoothing in the precision of u, and a copy that may be divided by."""
-        width = jnp.asarray(self.smoothing, u.dtype)
-        return width, jnp.where(width > 0, width, 1)
+    value += jnp.where(
+        width > 0, beyond(blend_integral(blend), blend_integral(stop)), 0
+    )
+
+    one = jnp.ones_like(width)
+    value += beyond(_far_integral(jnp.clip(u, stop, one)), _far_integral(one))
+
+    edge = CUTOFF - width
+    attraction = beyond(_far_integral(jnp.clip(u, one, edge)), _far_integral(edge))
+
+    def taper_integral(v: Float[Array, "..."]) -> Float[Array, "..."]:
+        return (3 * v - 3.25 * v**2 + 1.5 * v**3 - v**4 / 4) / (2 * some)
+
+    tail = jnp.clip(u, edge, CUTOFF)
+    end = jnp.full_like(width, CUTOFF)
+    attraction += jnp.where(
+        width > 0, beyond(taper_integral(tail), taper_integral(end)), 0
+    )
+    return value + law.adhesion * attraction
+
+
+@jax.custom_jvp
+def _energy(law: A2, u: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+    return _integral(law, u)
+
+
+@_energy.defjvp
+def _energy_jvp(
+    primals: tuple[A2, Array], tangents: tuple[A2, Array]
+) -> tuple[Array, Array]:
+    law, u = primals
+    value, varied = jax.jvp(lambda of: _integral(of, u), (law,), (tangents[0],))
+    return value, varied - law.force(u) * tangents[1]

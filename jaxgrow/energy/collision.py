@@ -27,12 +27,11 @@ intersect, a vertex meets a triangle or an edge an edge that it shares none with
 nothing is missed.
 """
 
-from typing import TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxgrow.energy.a2 import A2
@@ -43,10 +42,12 @@ from jaxgrow.energy.distance import (
     split_corners,
 )
 from jaxgrow.energy.smooth_minimum import smooth_minimum
+from jaxgrow.energy.term import values_of
+from jaxgrow.energy.vectors import cross, dot, minus
 from jaxgrow.numerics import farthest_two
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Membrane
-from jaxgrow.types import Scalar
+from jaxgrow.types import Columns, Scalar
 from jaxgrow.words import list_true
 
 
@@ -59,6 +60,68 @@ PARALLEL = 1e-3
 
 PairDistances: TypeAlias = tuple[Float[Array, " p"], Float[Array, " q"]]
 """Of all pairs of a vertex and a triangle, and of all pairs of edges, in r0."""
+
+
+class Collision(eqx.Module):
+    """The repulsion of parts of the surface that may not go through each other.
+
+    Class attributes:
+        name: of the term.
+        parameters: the fields of `Parameters` that it uses.
+    """
+
+    name: ClassVar[str] = "collision"
+    parameters: ClassVar[tuple[str, ...]] = (
+        *("collision_range", "collision_stiffness", "smoothing", "barrier_stiffness"),
+    )
+
+    def energy(self, u: Array, p: Any) -> Array:
+        """Return the repulsion of one vertex, in F(0) r0.
+
+        Args:
+            u: its smooth distance to triangles that are apart, in collision ranges.
+            p: has the `parameters` by name.
+        """
+        near = u < 1
+        value = A2(0.0, p.smoothing).energy(jnp.where(near, u, 1))
+        return p.collision_range * p.collision_stiffness * jnp.where(near, value, 0)
+
+    def wall(self, distance: Array, margin: Array, p: Any) -> Array:
+        """Return the barrier of a vertex and a triangle, in F(0) r0.
+
+        Args:
+            distance: of the two, in r0.
+            margin: where it sets in, in collision ranges.
+            p: has the `parameters` by name.
+        """
+        u = distance / p.collision_range
+        return p.collision_range * p.barrier_stiffness * barrier(u, margin)
+
+    def wall_of_edges(
+        self, x: tuple[Columns, ...], distance: Array, margin: Array, p: Any
+    ) -> Array:
+        """Return the barrier of two edges, in F(0) r0.
+
+        Args:
+            x: ends of the one, then of the other, in r0.
+            distance: of the two, in r0.
+            margin: where it sets in, in collision ranges.
+            p: has the `parameters` by name.
+        """
+        return _skewness(x) * self.wall(distance, margin, p)
+
+
+COLLISION = Collision()
+
+
+def _skewness(x: tuple[Columns, ...]) -> Array:
+    """The factor m: 1, less for nearly parallel edges, 0 for parallel ones."""
+    one, other = minus(x[1], x[0]), minus(x[3], x[2])
+    normal = cross(one, other)
+    scale = dot(one, one) * dot(other, other)
+    sine = dot(normal, normal) / jnp.where(scale > 0, scale, 1)
+    share = jnp.minimum(sine / PARALLEL, 1)
+    return share * (2 - share)
 
 
 class Collisions(eqx.Module):
@@ -154,18 +217,6 @@ def narrow_collisions(
     )
 
 
-def _skewness(membrane: Membrane, collisions: Collisions) -> Float[Array, " q"]:
-    """The factor m: 1, less for nearly parallel edges, 0 for parallel ones."""
-    points = jnp.concatenate([membrane.vertices, collisions.still])
-    ends = points[collisions.edges]
-    one, other = ends[:, 1] - ends[:, 0], ends[:, 3] - ends[:, 2]
-    area = jnp.sum(jnp.cross(one, other) ** 2, axis=-1)
-    scale = jnp.sum(one**2, axis=-1) * jnp.sum(other**2, axis=-1)
-    sine = area / jnp.where(scale > 0, scale, 1)
-    share = jnp.minimum(sine / PARALLEL, 1)
-    return share * (2 - share)
-
-
 def collision_energy(
     membrane: Membrane,
     collisions: Collisions,
@@ -180,29 +231,26 @@ def collision_energy(
         parameters: of collisions, their barrier, and the smoothing.
         distances: of all pairs, see `Collisions.distances`, if they are known.
     """
-    scale = parameters.collision_range
+    p, scale = values_of(COLLISION, parameters), parameters.collision_range
     vertex, edge = collisions.distances(membrane) if distances is None else distances
-    u = jnp.where(jnp.isfinite(vertex), vertex, 1) / scale
+    vertex = jnp.where(jnp.isfinite(vertex), vertex, scale)
     count = membrane.vertices.shape[0] + collisions.still.shape[0]
     nearest = smooth_minimum(
-        u,
+        vertex / scale,
         collisions.vertex,
         collisions.apart,
         count,
         sharpness=parameters.contact_sharpness,
         reach=1.0,
     )
-    law = A2(0.0, parameters.smoothing)
-    repulsion = jnp.sum(jnp.where(nearest < 1, law.energy(nearest), 0))
-    walls = jnp.sum(barrier(u, _margin(collisions.vertex_margin, parameters)))
-    u = jnp.where(jnp.isfinite(edge), edge, 1) / scale
-    skew = _skewness(membrane, collisions)
+    total = jnp.sum(COLLISION.energy(nearest, p))
+    margin = _margin(collisions.vertex_margin, parameters)
+    total += jnp.sum(COLLISION.wall(vertex, margin, p))
+    points = jnp.concatenate([membrane.vertices, collisions.still])
+    ends = split_corners(points[collisions.edges])
+    edge = jnp.where(jnp.isfinite(edge), edge, scale)
     margin = _margin(collisions.edge_margin, parameters)
-    walls += jnp.sum(skew * barrier(u, margin))
-    return scale * (
-        parameters.collision_stiffness * repulsion
-        + parameters.barrier_stiffness * walls
-    )
+    return total + jnp.sum(COLLISION.wall_of_edges(ends, edge, margin, p))
 
 
 def _margin(listed: Float[Array, " p"], parameters: Parameters) -> Float[Array, " p"]:
@@ -240,13 +288,3 @@ def collision_clearances(
     clear = clear.at[collisions.vertex].min(vertex, mode="drop")
     clear = clear.at[collisions.corners].min(vertex[:, None], mode="drop")
     return clear.at[collisions.edges].min(edge[:, None], mode="drop")
-
-
-def numbers_of_collision(parameters: Parameters, dtype: DTypeLike) -> Float[Array, "6"]:
-    """The law as its loops take it, see `jaxgrow.kernels.collision`."""
-    law = (
-        *(parameters.collision_range, parameters.collision_stiffness),
-        *(parameters.smoothing, parameters.contact_sharpness),
-        *(parameters.barrier_stiffness, PARALLEL),
-    )
-    return jnp.stack([jnp.asarray(number, dtype) for number in law])

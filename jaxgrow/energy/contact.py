@@ -15,24 +15,69 @@ The distance is the smooth minimum of `jaxgrow.energy.smooth_minimum` over the
 triangles within the reach of 3/2 contact ranges.
 """
 
-from typing import NamedTuple
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxgrow.energy.a2 import A2, CUTOFF
-from jaxgrow.energy.distance import split, triangle_distance
+from jaxgrow.energy.distance import triangle_distance
 from jaxgrow.energy.smooth_minimum import smooth_minimum
 from jaxgrow.energy.spheres import count_inside, list_inside, Spheres
-from jaxgrow.kernels.ffi import registered, target
+from jaxgrow.energy.term import values_of
+from jaxgrow.energy.vectors import split
 from jaxgrow.numerics import safe_norm, smallest_distance
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Membrane, Particles
 from jaxgrow.types import Scalar
 from jaxgrow.words import list_true
+
+
+def barrier(
+    u: Float[Array, "*n"], margin: Float[Array, "*n"] | Scalar
+) -> Float[Array, "*n"]:
+    """The barrier b(u): infinite at 0, twice differentiable where it sets in.
+
+    Args:
+        u: distances.
+        margin: where it sets in, û; in the same unit, 0 for none.
+    """
+    inside = u < margin
+    safe = jnp.where(inside, jnp.maximum(u, smallest_distance(u.dtype)), 1)
+    edge = jnp.where(inside, margin, 1)
+    return jnp.where(inside, -((safe - edge) ** 2) * jnp.log(safe / edge), 0)
+
+
+class Contact(eqx.Module):
+    """The interaction of a particle with the surface, by its smooth distance.
+
+    Class attributes:
+        name: of the term.
+        parameters: the fields of `Parameters` that it uses.
+    """
+
+    name: ClassVar[str] = "contact"
+    parameters: ClassVar[tuple[str, ...]] = (
+        *("contact_range", "contact_stiffness", "contact_adhesion", "smoothing"),
+        *("barrier_stiffness", "barrier_range"),
+    )
+
+    def energy(self, u: Array, p: Any) -> Array:
+        """Return the energy of one particle, in F(0) r0.
+
+        Args:
+            u: its smooth distance, in contact ranges.
+            p: has the `parameters` by name.
+        """
+        law = A2(p.contact_adhesion, p.smoothing)
+        each = p.contact_stiffness * law.energy(u)
+        each += p.barrier_stiffness * barrier(u, p.barrier_range)
+        return p.contact_range * each
+
+
+CONTACT = Contact()
 
 
 class Contacts(eqx.Module):
@@ -171,21 +216,6 @@ def smooth_distance(
     )
 
 
-def barrier(
-    u: Float[Array, "*n"], margin: Float[Array, "*n"] | Scalar
-) -> Float[Array, "*n"]:
-    """The barrier b(u): infinite at 0, twice differentiable where it sets in.
-
-    Args:
-        u: distances.
-        margin: where it sets in, û; in the same unit, 0 for none.
-    """
-    inside = u < margin
-    safe = jnp.where(inside, jnp.maximum(u, smallest_distance(u.dtype)), 1)
-    edge = jnp.where(inside, margin, 1)
-    return jnp.where(inside, -((safe - edge) ** 2) * jnp.log(safe / edge), 0)
-
-
 def contact_energy(
     particles: Particles,
     membrane: Membrane,
@@ -206,122 +236,8 @@ def contact_energy(
         distance = contact_distances(particles, membrane, contacts)
     count = particles.position.shape[0]
     u = smooth_distance(distance, contacts, count, parameters)
-    law = A2(parameters.contact_adhesion, parameters.smoothing)
-    each = parameters.contact_stiffness * law.energy(u)
-    each += parameters.barrier_stiffness * barrier(u, parameters.barrier_range)
-    return parameters.contact_range * jnp.sum(jnp.where(particles.alive, each, 0))
-
-
-class ContactForces(NamedTuple):
-    """What contact does to every node.
-
-    Attributes:
-        particles: forces on them, in F(0).
-        vertices: forces on those of the membrane.
-        clearances: of both, see `clearances`.
-    """
-
-    particles: Float[Array, "n 3"]
-    vertices: Float[Array, "m 3"]
-    clearances: tuple[Float[Array, " n"], Float[Array, " m"]]
-
-
-@jax.custom_jvp
-def contact_forces(
-    particles: Particles,
-    membrane: Membrane,
-    contacts: Contacts,
-    parameters: Parameters,
-) -> ContactForces:
-    """Minus the gradient of `contact_energy`, and clearances by the same distances.
-
-    On a processor by a loop, where there is one (see `jaxgrow.kernels`). Clearances
-    have no derivative.
-
-    Args:
-        particles: dead ones feel no force.
-        membrane: whose faces are listed.
-        contacts: pairs within reach.
-        parameters: of the contact, its barrier, and the smoothing.
-    """
-    given = particles, membrane, contacts, parameters
-    reals = particles.position.dtype, membrane.vertices.dtype
-    indices = contacts.particle.dtype, contacts.corners.dtype
-    exact = reals == (jnp.float64, jnp.float64) and indices == (jnp.int32, jnp.int64)
-    if not (exact and registered("contact")):
-        return _forces_by_autodiff(*given)
-    return jax.lax.platform_dependent(
-        *given, cpu=_forces_by_loop, default=_forces_by_autodiff
-    )
-
-
-@contact_forces.defjvp
-def _contact_forces_jvp(
-    primals: tuple[Particles, Membrane, Contacts, Parameters],
-    tangents: tuple[Particles, Membrane, Contacts, Parameters],
-) -> tuple[ContactForces, ContactForces]:
-    particles, membrane, contacts, parameters = primals
-    moved, bent, _, varied = tangents
-
-    def forces(position: Array, vertices: Array, law: Parameters) -> ContactForces:
-        there = eqx.tree_at(lambda p: p.position, particles, position)
-        bent = eqx.tree_at(lambda m: m.vertices, membrane, vertices)
-        found = _forces_by_autodiff(there, bent, contacts, law)
-        return found._replace(clearances=jax.lax.stop_gradient(found.clearances))
-
-    given = particles.position, membrane.vertices, parameters
-    return jax.jvp(forces, given, (moved.position, bent.vertices, varied))
-
-
-def _forces_by_autodiff(
-    particles: Particles,
-    membrane: Membrane,
-    contacts: Contacts,
-    parameters: Parameters,
-) -> ContactForces:
-    def energy(position: Array, vertices: Array) -> tuple[Array, Array]:
-        there = eqx.tree_at(lambda p: p.position, particles, position)
-        bent = eqx.tree_at(lambda m: m.vertices, membrane, vertices)
-        distance = contact_distances(there, bent, contacts)
-        return contact_energy(there, bent, contacts, parameters, distance), distance
-
-    given = particles.position, membrane.vertices
-    slope, distance = jax.grad(energy, argnums=(0, 1), has_aux=True)(*given)
-    clear = clearances(distance, contacts, membrane, particles.position.shape[0])
-    return ContactForces(-slope[0], -slope[1], clear)
-
-
-def numbers_of_contact(parameters: Parameters, dtype: DTypeLike) -> Float[Array, "8"]:
-    """The law as its loop takes it, see `jaxgrow.kernels.contact`."""
-    law = (
-        *(parameters.contact_range, parameters.contact_stiffness),
-        *(parameters.contact_adhesion, parameters.smoothing),
-        *(parameters.contact_sharpness, parameters.barrier_stiffness),
-        *(parameters.barrier_range, CUTOFF),
-    )
-    return jnp.stack([jnp.asarray(number, dtype) for number in law])
-
-
-def _forces_by_loop(
-    particles: Particles,
-    membrane: Membrane,
-    contacts: Contacts,
-    parameters: Parameters,
-) -> ContactForces:
-    rows = particles.position, membrane.vertices
-    like = [jax.ShapeDtypeStruct(r.shape, r.dtype) for r in rows]
-    each = [jax.ShapeDtypeStruct(r.shape[:1], r.dtype) for r in rows]
-    call = jax.ffi.ffi_call(target("contact"), (*like, *each), vmap_method="sequential")
-    on_particles, on_vertices, *clear = call(
-        particles.position,
-        particles.alive,
-        membrane.vertices,
-        contacts.particle,
-        contacts.corners,
-        contacts.real,
-        numbers_of_contact(parameters, rows[0].dtype),
-    )
-    return ContactForces(on_particles, on_vertices, (clear[0], clear[1]))
+    each = CONTACT.energy(u, values_of(CONTACT, parameters))
+    return jnp.sum(jnp.where(particles.alive, each, 0))
 
 
 def clearances(

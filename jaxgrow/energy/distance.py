@@ -6,13 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
 
-from jaxgrow.numerics import safe_root
+from jaxgrow.energy.vectors import cross, dot, minus, norm, split, unit
 from jaxgrow.types import Columns
-
-
-def split(rows: Float[Array, "*p 3"]) -> Columns:
-    """The columns of an array of rows."""
-    return rows[..., 0], rows[..., 1], rows[..., 2]
 
 
 def split_corners(shapes: Float[Array, "*p k 3"]) -> tuple[Columns, ...]:
@@ -20,26 +15,10 @@ def split_corners(shapes: Float[Array, "*p k 3"]) -> tuple[Columns, ...]:
     return tuple(split(shapes[..., k, :]) for k in range(shapes.shape[-2]))
 
 
-def _minus(a: Columns, b: Columns) -> Columns:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-def _dot(a: Columns, b: Columns) -> Float[Array, "*p"]:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _cross(a: Columns, b: Columns) -> Columns:
-    return (
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    )
-
-
 def _along(to_point: Columns, side: Columns) -> Float[Array, "*p"]:
     """Share of the side at which it is closest to the point; 0 for length 0."""
-    square = _dot(side, side)
-    return jnp.clip(_dot(to_point, side) / jnp.where(square > 0, square, 1), 0, 1)
+    square = dot(side, side)
+    return jnp.clip(dot(to_point, side) / jnp.where(square > 0, square, 1), 0, 1)
 
 
 def closest_weights(point: Columns, a: Columns, b: Columns, c: Columns) -> Columns:
@@ -50,18 +29,18 @@ def closest_weights(point: Columns, a: Columns, b: Columns, c: Columns) -> Colum
     sides; a decision by Voronoi regions would take it for whatever the rounding of its
     area says, and overestimate the distance.
     """
-    ab, bc, ac = _minus(b, a), _minus(c, b), _minus(c, a)
-    ap, bp = _minus(point, a), _minus(point, b)
+    ab, bc, ac = minus(b, a), minus(c, b), minus(c, a)
+    ap, bp = minus(point, a), minus(point, b)
     on_ab, on_bc, on_ac = _along(ap, ab), _along(bp, bc), _along(ap, ac)
     zero = jnp.zeros_like(on_ab)
 
-    normal = _cross(ab, ac)
-    square = _dot(normal, normal)
-    longest = jnp.maximum(_dot(ab, ab), jnp.maximum(_dot(bc, bc), _dot(ac, ac)))
+    normal = cross(ab, ac)
+    square = dot(normal, normal)
+    longest = jnp.maximum(dot(ab, ab), jnp.maximum(dot(bc, bc), dot(ac, ac)))
     has_area = square > (64 * jnp.finfo(square.dtype).eps * longest) ** 2
     scale = 1 / jnp.where(has_area, square, 1)
-    of_b = _dot(_cross(ap, ac), normal) * scale
-    of_c = _dot(_cross(ab, ap), normal) * scale
+    of_b = dot(cross(ap, ac), normal) * scale
+    of_c = dot(cross(ab, ap), normal) * scale
     of_b, of_c, on_ab, on_bc, on_ac = _once((of_b, of_c, on_ab, on_bc, on_ac))
     of_a = 1 - of_b - of_c
     inside = has_area & (of_a > 0) & (of_b > 0) & (of_c > 0)
@@ -72,7 +51,7 @@ def closest_weights(point: Columns, a: Columns, b: Columns, c: Columns) -> Colum
         (True, (1 - on_ac, zero, on_ac)),
         (True, (1 - on_ab, on_ab, zero)),
     )
-    gaps = [_minus(point, _at(parts, a, b, c)) for _, parts in candidates]
+    gaps = [minus(point, _at(parts, a, b, c)) for _, parts in candidates]
     return _nearest(candidates, gaps)
 
 
@@ -84,7 +63,7 @@ def _nearest(
     best = jnp.full_like(gaps[0][0], jnp.inf)
     which = jnp.full(best.shape, -1)
     for number, ((possible, _), gap) in enumerate(zip(candidates, gaps, strict=True)):
-        square = jnp.where(possible, _dot(gap, gap), jnp.inf)
+        square = jnp.where(possible, dot(gap, gap), jnp.inf)
         nearer = square < best
         best = jnp.where(nearer, square, best)
         which = jnp.where(nearer, number, which)
@@ -116,16 +95,6 @@ def _at(weights: Columns, *points: Columns) -> Columns:
     return total
 
 
-def _length(a: Columns) -> Float[Array, "*p"]:
-    return safe_root(_dot(a, a))
-
-
-def _unit(a: Columns, length: Float[Array, "*p"]) -> Columns:
-    """Direction of a vector of known length; 0 for length 0."""
-    scale = 1 / jnp.where(length > 0, length, 1)
-    return a[0] * scale, a[1] * scale, a[2] * scale
-
-
 @jax.custom_jvp
 def triangle_distance(
     point: Columns, a: Columns, b: Columns, c: Columns
@@ -137,7 +106,7 @@ def triangle_distance(
     the closest point: stopping the gradient there leaves forces right and Hessians
     wrong.
     """
-    return _length(_minus(point, _at(closest_weights(point, a, b, c), a, b, c)))
+    return norm(minus(point, _at(closest_weights(point, a, b, c), a, b, c)))
 
 
 @triangle_distance.defjvp
@@ -146,10 +115,10 @@ def _triangle_jvp(
 ) -> tuple[Array, Array]:
     point, *corners = primals
     weights = closest_weights(point, *corners)
-    offset = _minus(point, _at(weights, *corners))
-    length = _length(offset)
-    moved = _minus(tangents[0], _at(weights, *tangents[1:]))
-    return length, _dot(_unit(offset, length), moved)
+    offset = minus(point, _at(weights, *corners))
+    length = norm(offset)
+    moved = minus(tangents[0], _at(weights, *tangents[1:]))
+    return length, dot(unit(offset, length), moved)
 
 
 def point_triangle_distance(
@@ -168,21 +137,21 @@ def closest_shares(
     fall inside, and the closest point of each end on the other segment. Parallel
     segments have no such feet and are treated by their ends.
     """
-    one, other, gap = _minus(b, a), _minus(d, c), _minus(c, a)
-    square, along, square_other = _dot(one, one), _dot(one, other), _dot(other, other)
+    one, other, gap = minus(b, a), minus(d, c), minus(c, a)
+    square, along, square_other = dot(one, one), dot(one, other), dot(other, other)
     determinant = square * square_other - along**2
     skew = determinant > 64 * jnp.finfo(along.dtype).eps * square * square_other
     scale = 1 / jnp.where(skew, determinant, 1)
-    on_one, on_other = _dot(one, gap), _dot(other, gap)
+    on_one, on_other = dot(one, gap), dot(other, gap)
     s = (on_one * square_other - on_other * along) * scale
     t = (on_one * along - on_other * square) * scale
     inside = skew & (s > 0) & (s < 1) & (t > 0) & (t < 1)
     zero = jnp.zeros_like(s)
     ends = (
-        _along(_minus(a, c), other),
-        _along(_minus(b, c), other),
+        _along(minus(a, c), other),
+        _along(minus(b, c), other),
         _along(gap, one),
-        _along(_minus(d, a), one),
+        _along(minus(d, a), one),
     )
     s, t, a_on, b_on, c_on, d_on = _once((s, t, *ends))
     candidates = (
@@ -200,7 +169,7 @@ def closest_shares(
 def _between(s: Float[Array, "*p"], t: Float[Array, "*p"], *ends: Columns) -> Columns:
     """Vector from the share t of the second segment to the share s of the first."""
     a, b, c, d = ends
-    return _minus(_at((1 - s, s), a, b), _at((1 - t, t), c, d))
+    return minus(_at((1 - s, s), a, b), _at((1 - t, t), c, d))
 
 
 @jax.custom_jvp
@@ -211,7 +180,7 @@ def segment_distance(
 
     It has a kink where the segments are parallel.
     """
-    return _length(_between(*closest_shares(a, b, c, d), a, b, c, d))
+    return norm(_between(*closest_shares(a, b, c, d), a, b, c, d))
 
 
 @segment_distance.defjvp
@@ -220,5 +189,5 @@ def _segment_jvp(
 ) -> tuple[Array, Array]:
     s, t = closest_shares(*primals)
     offset = _between(s, t, *primals)
-    length = _length(offset)
-    return length, _dot(_unit(offset, length), _between(s, t, *tangents))
+    length = norm(offset)
+    return length, dot(unit(offset, length), _between(s, t, *tangents))

@@ -1,210 +1,143 @@
 r"""Energy of the interaction between particles (paper §3 and eq. 2).
 
 .. math::
-    E = \sum_{i<j} s_{ij}\, U_{\alpha}(|x_i - x_j|)
+    E = \sum_{i<j} s_{ij}\, U_{\alpha_{ij}}(|x_i - x_j|)
 
-over all pairs of particles alive, with :math:`U` of `A2` and the stiffness :math:`s` of
-`Parameters` between two tumour particles (1 for all other pairs). Lengths in r0. With
+over all pairs of particles alive, with :math:`U` of `A2`. The stiffness :math:`s` of
+`Parameters` acts between two tumour particles; all other pairs have 1. With
 s > 1 the tumour coheres more than it adheres to the tissue, so the interface has a
 tension (differential adhesion) and a myoma stays a ball; with the mean
 :math:`(1 + s)/2` for mixed pairs there is none, and it scatters through the tissue.
+The attraction of a tumour particle and one of the tissue is
+:math:`\alpha_{ij} = c\,\alpha` with the mixed adhesion c; 1 is the paper's law.
+Lengths in r0.
 
-The derivative in the positions is written by hand: differentiating the sum over a
-neighbour list turns its gathers into scatters, which is 14 to 20 times slower on a CPU.
-A test holds it equal to the derivative of the plain sum.
+Every pair is listed from both sides, so that the force on a particle is a sum over its
+own entries: nothing is scattered.
 """
 
-from typing import NamedTuple
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.typing import DTypeLike
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from jaxgrow.energy.a2 import A2, CUTOFF
-from jaxgrow.kernels.ffi import registered, target
+from jaxgrow.energy.term import values_of
 from jaxgrow.numerics import safe_divide, safe_root
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Particles, Species
 from jaxgrow.types import Columns
 
 
-_BLOCK = 4
-"""Neighbours of each particle that are taken at once: more at once leave the cache,
-fewer are more small loops."""
+class Pairs(eqx.Module):
+    """The interaction of two particles.
 
-_AWAY = 1e9
-"""Distance, in r0, at which dead particles and empty entries are put: nothing has to
-be looked up to know that they do not interact."""
+    Class attributes:
+        name: of the term.
+        parameters: the fields of `Parameters` that it uses.
+        cutoff: distance, in r0, from which on particles do not interact.
+    """
 
-
-class Crowd(NamedTuple):
-    """Particles as the sums need them; the last row stands for empty entries."""
-
-    columns: Columns
-    tumour: Bool[Array, " n+1"]
-
-
-def crowd_of(particles: Particles) -> Crowd:
-    """The particles, dead ones far away."""
-    count = particles.position.shape[0]
-    away = _AWAY * (1 + jnp.arange(count + 1, dtype=particles.position.dtype) / count)
-    columns = tuple(
-        jnp.concatenate([jnp.where(particles.alive, column, away[:-1]), away[-1:]])
-        for column in particles.position.T
+    name: ClassVar[str] = "pair"
+    parameters: ClassVar[tuple[str, ...]] = (
+        *("adhesion", "smoothing", "tumour_stiffness", "mixed_adhesion"),
     )
-    tumour = jnp.pad(particles.species == Species.TUMOUR, (0, 1))
-    return Crowd(columns, tumour)
+    cutoff: ClassVar[float] = CUTOFF
+
+    def energy(self, u: Array, one: Array, other: Array, p: Any) -> Array:
+        """Return s U(u) of one pair, in F(0) r0.
+
+        Args:
+            u: distance, in r0.
+            one: 1 if the one is of the tumour, else 0.
+            other: likewise.
+            p: has the `parameters` by name.
+        """
+        both = one * other
+        differ = one + other - 2 * both
+        law = A2(p.adhesion * (1 + differ * (p.mixed_adhesion - 1)), p.smoothing)
+        return (1 + both * (p.tumour_stiffness - 1)) * law.energy(u)
 
 
-def _blocks(listed: Int[Array, "k n"]) -> Int[Array, "c b n"]:
-    count, particles = listed.shape
-    rows = -(-count // _BLOCK) * _BLOCK
-    whole = jnp.pad(listed, ((0, rows - count), (0, 0)), constant_values=particles)
-    return whole.reshape(-1, _BLOCK, particles)
+PAIRS = Pairs()
 
 
-def _pairs(
-    crowd: Crowd, other: Int[Array, "b n"], parameters: Parameters
-) -> tuple[Columns, Float[Array, "b n"], Float[Array, "b n"]]:
-    """x_i - x_j, its length and the stiffness of the pair, for some j of each i."""
-
-    def look_up(column: Array) -> Array:
-        return column.at[other].get(mode="promise_in_bounds")
-
-    components = tuple(c[None, :-1] - look_up(c) for c in crowd.columns)
-    x, y, z = components
-    length = safe_root(x**2 + y**2 + z**2)
-    both = crowd.tumour[None, :-1] & look_up(crowd.tumour)
-    return components, length, jnp.where(both, parameters.tumour_stiffness, 1.0)
-
-
-def force_on(
-    index: Int[Array, ""],
-    crowd: Crowd,
-    listed: Int[Array, "k n"],
-    parameters: Parameters,
-) -> Float[Array, "3"]:
-    """Force on one particle alone, in F(0); see `pair_force`."""
-    law = A2(parameters.adhesion, parameters.smoothing)
-    other = listed[:, index]
-    apart = jnp.stack([column[index] - column[other] for column in crowd.columns])
-    length = safe_root(jnp.sum(apart**2, axis=0))
-    both = crowd.tumour[index] & crowd.tumour[other]
-    force = jnp.where(both, parameters.tumour_stiffness, 1.0) * law.force(length)
-    return jnp.sum(safe_divide(force, length, length > 0)[None, :] * apart, axis=1)
+def _columns(
+    particles: Particles, listed: Int[Array, "k n"]
+) -> tuple[Columns, Float[Array, "k n"], Float[Array, "k n"], Float[Array, "k n"]]:
+    """x_i - x_j of every entry, its length, and the species; far for empty entries."""
+    position, count = particles.position, particles.position.shape[0]
+    real = (listed < count) & particles.alive[None, :]
+    other = jnp.where(real, listed, 0)
+    real &= particles.alive[other]
+    columns = tuple(
+        jnp.where(real, column[None, :] - column[other], PAIRS.cutoff)
+        for column in position.T
+    )
+    x, y, z = columns
+    tumour = (particles.species == Species.TUMOUR).astype(position.dtype)
+    own = jnp.broadcast_to(tumour[None, :], listed.shape)
+    return columns, safe_root(x**2 + y**2 + z**2), own, tumour[other]
 
 
-def _pair_sum(
-    particles: Particles, listed: Int[Array, "k n"], parameters: Parameters
-) -> Float[Array, ""]:
-    """The energy as a plain sum; every pair is listed from both sides."""
-    law = A2(parameters.adhesion, parameters.smoothing)
-    crowd = crowd_of(particles)
-
-    def add(total: Array, other: Int[Array, "b n"]) -> tuple[Array, None]:
-        _, length, stiffness = _pairs(crowd, other, parameters)
-        return total + jnp.sum(stiffness * law.energy(length)), None
-
-    start = jnp.zeros((), particles.position.dtype)
-    total, _ = jax.lax.scan(add, start, _blocks(listed))
-    return 0.5 * total
+def _slope(
+    length: Array, one: Array, other: Array, parameters: Parameters
+) -> Float[Array, "..."]:
+    """Derivative of the energy of each pair in its distance."""
+    p = values_of(PAIRS, parameters)
+    total = jax.grad(lambda u: jnp.sum(PAIRS.energy(u, one, other, p)))
+    return total(length)
 
 
-@jax.custom_jvp
 def pair_force(
     particles: Particles, listed: Int[Array, "k n"], parameters: Parameters
 ) -> Float[Array, "n 3"]:
-    """Force on every particle, in F(0); 0 between particles at the same point.
-
-    On a processor by a loop, where there is one (see `jaxgrow.kernels`).
+    """Return the force on every particle, in F(0); 0 between ones at the same point.
 
     Args:
         particles: positions in r0.
         listed: neighbours of each particle, every pair from both sides; entries that
             hold n, and pairs beyond 3/2 r0, contribute nothing.
-        parameters: adhesion, smoothing and tumour stiffness are used.
+        parameters: of all terms.
     """
-    exact = particles.position.dtype == jnp.float64 and listed.dtype == jnp.int32
-    if not (exact and registered("pair")):
-        return _force_by_blocks(particles, listed, parameters)
-    given = particles, listed, parameters
-    return jax.lax.platform_dependent(
-        *given, cpu=_force_by_loop, default=_force_by_blocks
-    )
+    columns, length, one, other = _columns(particles, listed)
+    slope = _slope(length, one, other, parameters)
+    ratio = safe_divide(-slope, length, length > 0)
+    return jnp.stack([jnp.sum(ratio * column, axis=0) for column in columns], axis=1)
 
 
-@pair_force.defjvp
-def _pair_force_jvp(
-    primals: tuple[Particles, Array, Parameters],
-    tangents: tuple[Particles, Array, Parameters],
-) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
-    particles, listed, parameters = primals
-    moved, _, varied = tangents
-
-    def force(position: Float[Array, "n 3"], law: Parameters) -> Float[Array, "n 3"]:
-        there = eqx.tree_at(lambda p: p.position, particles, position)
-        return _force_by_blocks(there, listed, law)
-
-    given = particles.position, parameters
-    return jax.jvp(force, given, (moved.position, varied))
-
-
-def numbers_of_pair(parameters: Parameters, dtype: DTypeLike) -> Float[Array, "4"]:
-    """The law as its loop takes it, see `jaxgrow.kernels.pair`."""
-    law = parameters.adhesion, parameters.smoothing, parameters.tumour_stiffness, CUTOFF
-    return jnp.stack([jnp.asarray(number, dtype) for number in law])
-
-
-def _force_by_loop(
-    particles: Particles, listed: Int[Array, "k n"], parameters: Parameters
-) -> Float[Array, "n 3"]:
-    position = particles.position
-    count = position.shape[0]
-    away = _AWAY * (1 + jnp.arange(count, dtype=position.dtype) / count)
-    position = jnp.where(particles.alive[:, None], position, away[:, None])
-    call = jax.ffi.ffi_call(
-        target("pair"),
-        jax.ShapeDtypeStruct(position.shape, position.dtype),
-        vmap_method="sequential",
-    )
-    return call(
-        position,
-        particles.species == Species.TUMOUR,
-        listed,
-        numbers_of_pair(parameters, position.dtype),
-    )
-
-
-def _force_by_blocks(
-    particles: Particles, listed: Int[Array, "k n"], parameters: Parameters
-) -> Float[Array, "n 3"]:
-    """A few neighbours of all particles after the other.
-
-    So that nothing of the size of the list is stored: several times as fast as all at
-    once on a processor.
-    """
-    law = A2(parameters.adhesion, parameters.smoothing)
-    crowd = crowd_of(particles)
-
-    def add(total: Columns, other: Int[Array, "b n"]) -> tuple[Columns, None]:
-        components, length, stiffness = _pairs(crowd, other, parameters)
-        ratio = safe_divide(stiffness * law.force(length), length, length > 0)
-        added = zip(total, components, strict=True)
-        return tuple(t + jnp.sum(ratio * c, axis=0) for t, c in added), None
-
-    start = tuple(jnp.zeros_like(column) for column in particles.position.T)
-    total, _ = jax.lax.scan(add, start, _blocks(listed))
-    return jnp.stack(total, axis=1)
+def force_on(
+    index: Int[Array, ""],
+    particles: Particles,
+    listed: Int[Array, "k n"],
+    parameters: Parameters,
+) -> Float[Array, "3"]:
+    """Return the force on one particle alone, in F(0); see `pair_force`."""
+    entries = listed[:, index]
+    count = particles.position.shape[0]
+    real = (entries < count) & particles.alive[index]
+    others = jnp.where(real, entries, 0)
+    real &= particles.alive[others]
+    apart = particles.position[index][None, :] - particles.position[others]
+    apart = jnp.where(real[:, None], apart, PAIRS.cutoff)
+    length = safe_root(jnp.sum(apart**2, axis=1))
+    tumour = (particles.species == Species.TUMOUR).astype(length.dtype)
+    one = jnp.broadcast_to(tumour[index], length.shape)
+    ratio = -_slope(length, one, tumour[others], parameters)
+    ratio = safe_divide(ratio, length, length > 0)
+    return jnp.sum(ratio[:, None] * apart, axis=0)
 
 
 @jax.custom_jvp
 def pair_energy(
     particles: Particles, listed: Int[Array, "k n"], parameters: Parameters
 ) -> Float[Array, ""]:
-    """Energy in F(0) r0. Arguments as for `pair_force`."""
-    return _pair_sum(particles, listed, parameters)
+    """Return the energy in F(0) r0. Arguments as for `pair_force`."""
+    _, length, one, other = _columns(particles, listed)
+    each = PAIRS.energy(length, one, other, values_of(PAIRS, parameters))
+    return 0.5 * jnp.sum(each)
 
 
 @pair_energy.defjvp
@@ -212,10 +145,14 @@ def _pair_energy_jvp(
     primals: tuple[Particles, Array, Parameters],
     tangents: tuple[Particles, Array, Parameters],
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    """The derivative in positions is minus the force, which gathers instead of scatters."""
     particles, listed, parameters = primals
     moved, _, varied = tangents
-    value, from_parameters = jax.jvp(
-        lambda p: _pair_sum(particles, listed, p), (parameters,), (varied,)
-    )
+    _, length, one, other = _columns(particles, listed)
+
+    def total(law: Parameters) -> Float[Array, ""]:
+        return 0.5 * jnp.sum(PAIRS.energy(length, one, other, values_of(PAIRS, law)))
+
+    value, from_parameters = jax.jvp(total, (parameters,), (varied,))
     force = pair_force(particles, listed, parameters)
     return value, from_parameters - jnp.sum(force * moved.position)

@@ -15,30 +15,36 @@ acts "as a smoothing factor"; :math:`\tau` is that tension. Its force
 towards the mean of its neighbours, which keeps triangles even.
 """
 
-import jax.numpy as jnp
-from jax.typing import DTypeLike
-from jaxtyping import Array, Float
+from typing import Any
 
-from jaxgrow.numerics import safe_norm
-from jaxgrow.parameters import Parameters
+from jaxtyping import Array, Bool, Int
+
+from jaxgrow.energy.term import MembraneTerm
+from jaxgrow.energy.vectors import minus, norm
 from jaxgrow.state import Membrane
+from jaxgrow.types import Columns
 
 
-def edge_length(membrane: Membrane) -> Float[Array, " e"]:
-    """Length of every edge, in r0; 0 for padding."""
-    start, end = membrane.vertices[membrane.edges.T]
-    return jnp.where(membrane.edge_alive, safe_norm(end - start), 0)
+class Springs(MembraneTerm):
+    """Springs on the edges; rest data: the length of the edge."""
 
+    name = "springs"
+    size = 2
+    parameters = ("spring_stiffness", "pretension")
+    modulus = "spring_stiffness"
+    per = "edge"
 
-def spring_energy(membrane: Membrane, parameters: Parameters) -> Float[Array, ""]:
-    """Energy in F(0) r0."""
-    rest = (1 - parameters.pretension) * membrane.rest_length
-    stretch = edge_length(membrane) - rest
-    square = jnp.where(membrane.edge_alive, stretch, 0) ** 2
-    return 0.5 * parameters.spring_stiffness * jnp.sum(square)
+    def energy(self, x: tuple[Columns, ...], rest: Columns, p: Any) -> Array:
+        """Return k (ℓ − (1 − τ) ℓ⁰)² / 2 of one edge, in F(0) r0."""
+        stretch = norm(minus(x[1], x[0])) - (1 - p.pretension) * rest[0]
+        return 0.5 * p.spring_stiffness * stretch**2
 
+    def rest(self, x: tuple[Columns, ...]) -> Columns:
+        """Return the length of the edge, in r0."""
+        return (norm(minus(x[1], x[0])),)
 
-def numbers_of_springs(parameters: Parameters, dtype: DTypeLike) -> Float[Array, "2"]:
-    """The law as its loop takes it, see `jaxgrow.kernels.springs`."""
-    law = parameters.spring_stiffness, parameters.pretension
-    return jnp.stack([jnp.asarray(number, dtype) for number in law])
+    def stencil(
+        self, membrane: Membrane
+    ) -> tuple[Int[Array, "e 2"], Bool[Array, " e"]]:
+        """Return the ends of each edge."""
+        return membrane.edges, membrane.edge_alive

@@ -6,7 +6,9 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from jaxgrow.equilibrium.listing import allocate_lists, fits, prepared
-from jaxgrow.equilibrium.problem import Lists, Problem
+from jaxgrow.equilibrium.lists import Lists
+from jaxgrow.equilibrium.loops import with_loops
+from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.response import linearise, respond, Response
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
@@ -85,7 +87,8 @@ def linear_response(
         _check(f"forces.{name}", getattr(forces, name), getattr(nodes, name))
     if load is not None:
         _check("load", load, nodes.vertices)
-    found = _respond(problem, _lists(problem, lists), forces)
+    lists = _lists(problem, lists)
+    found = _respond(with_loops(problem, lists, products=True), lists, forces)
     return LinearResponse(
         found.nodes,
         Result.of(found.code),

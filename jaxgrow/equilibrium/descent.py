@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from jaxgrow.equilibrium.problem import Lists, Outgrown, Problem
+from jaxgrow.equilibrium.lists import Lists, Outgrown
+from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.numerics import safe_norm
 from jaxgrow.results import Result
 from jaxgrow.state import Nodes

@@ -27,7 +27,9 @@ from jax.custom_derivatives import linear_call
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, PyTree
 
-from jaxgrow.equilibrium.problem import Lists, Problem
+from jaxgrow.equilibrium.lists import Lists
+from jaxgrow.equilibrium.loops import with_loops
+from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.response import linearise, probe, solve
 from jaxgrow.results import Result
 from jaxgrow.state import Nodes
@@ -57,7 +59,8 @@ def at_equilibrium(
         lists: valid there.
         valid: whether it is an equilibrium; if not, the derivative is NaN.
     """
-    known = primal(problem).at(nodes)
+    known = with_loops(primal(problem).at(nodes), lists, products=True)
+    problem = problem.with_loops(known.loops)
     proved = _is_minimum(known, lists) if valid else jnp.zeros((), bool)
     floats, rest = eqx.partition(problem, eqx.is_inexact_array)
     return _equilibrium(floats, (rest, nodes, lists, proved))
@@ -90,7 +93,7 @@ def _forces_and_nodes(
     floats: Problem, rest: Problem, nodes: Nodes, lists: Lists
 ) -> tuple[Nodes, Nodes]:
     """Forces on what may move at the equilibrium, and the problem's own nodes."""
-    problem = eqx.combine(floats, rest)
+    problem = eqx.combine(floats, rest).with_loops(None)
     free, own = problem.free(), problem.nodes()
     at = jax.tree.map(lambda on, x, y: jnp.where(on > 0, x, y), free, nodes, own)
     return jax.tree.map(jnp.multiply, free, problem.forces(at, lists)), own

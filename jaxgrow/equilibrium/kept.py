@@ -9,11 +9,15 @@ by row, are evaluated anew: in a tenth of the time for 10 000 of 100 000 particl
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from jaxgrow.energy.a2 import CUTOFF
-from jaxgrow.energy.pair import pair_force
+from jaxgrow.energy.pair import PAIRS
+from jaxgrow.equilibrium.lists import Kept, Lists
+from jaxgrow.equilibrium.loops import pair_module, with_loops
+from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.kernels import loops
+from jaxgrow.neighbors import Neighbors
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Particles, Species
 from jaxgrow.transfer import get, get_number, put
@@ -23,33 +27,24 @@ LARGEST_SHARE = 0.25
 """Of the particles; where more of them changed, all forces are evaluated anew."""
 
 
-class Kept(eqx.Module):
-    """Pair forces, and what they are of.
-
-    Attributes:
-        particles: which felt them.
-        law: adhesion, smoothing and tumour stiffness.
-        force: in F(0).
-    """
-
-    particles: Particles
-    law: Float[Array, "3"]
-    force: Float[Array, "n 3"]
+@eqx.filter_jit
+def _forces(problem: Problem, lists: Lists) -> Float[Array, "n 3"]:
+    force = problem.forces(problem.nodes(), lists).particles
+    assert force is not None
+    return force
 
 
-_pair_force = eqx.filter_jit(pair_force)
-
-
-def _law_of(parameters: Parameters) -> Float[np.ndarray, "3"]:
-    of_pairs = parameters.adhesion, parameters.smoothing, parameters.tumour_stiffness
-    return np.array([get_number(number) for number in of_pairs])
+def _law_of(parameters: Parameters) -> Float[np.ndarray, " p"]:
+    values = (getattr(parameters, name) for name in PAIRS.parameters)
+    return np.array([get_number(number) for number in values])
 
 
 def evaluated(
-    particles: Particles, listed: Int[Array, "k n"], parameters: Parameters
+    particles: Particles, neighbors: Neighbors, parameters: Parameters
 ) -> Kept:
     """Forces on all of them by a list that is valid for where they are."""
-    force = _pair_force(particles, listed, parameters)
+    lists, alone = Lists(neighbors, None), Problem.of(particles, None, parameters)
+    force = _forces(with_loops(alone, lists), lists)
     return Kept(particles, put(_law_of(parameters)), force)
 
 
@@ -68,7 +63,8 @@ def renewed(
         all: because too much is another now, or there is no loop for it.
     """
     kernel, law = loops("vicinity"), _law_of(parameters)
-    if kernel is None or kept is None or particles.position.dtype != jnp.float64:
+    root = pair_module() if particles.position.dtype == jnp.float64 else None
+    if kernel is None or root is None or kept is None:
         return None
     if kept.force.shape != particles.position.shape or (get(kept.law) != law).any():
         return None
@@ -81,16 +77,8 @@ def renewed(
         return None
     force = np.array(kept.force)
     tumour = now[1] == Species.TUMOUR
-    kernel.renew(
-        now[0],
-        tumour,
-        now[2],
-        before[0],
-        before[2],
-        changed,
-        np.array([*law, CUTOFF]),
-        force,
-    )
+    numbers = np.array([CUTOFF, *law])
+    root.renew(now[0], tumour, now[2], before[0], before[2], changed, numbers, force)
     return Kept(particles, kept.law, put(force))
 
 

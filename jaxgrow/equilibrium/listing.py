@@ -21,6 +21,7 @@ from jaxgrow.energy.contact import (
     reach,
     SPHERES_PER_CONTACT,
 )
+from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.looped_lists import (
     collisions_by_loops,
     fitting,
@@ -30,7 +31,7 @@ from jaxgrow.equilibrium.looped_lists import (
     LEAST_CONTACTS,
     listed_by_loops,
 )
-from jaxgrow.equilibrium.problem import CANDIDATE_SKIN, CONTACT_SKIN, Lists, Problem
+from jaxgrow.equilibrium.problem import CANDIDATE_SKIN, CONTACT_SKIN, Problem
 from jaxgrow.state import Membrane, Particles
 
 

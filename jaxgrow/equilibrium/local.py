@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxgrow.energy.term import MembraneTerm
 from jaxgrow.equilibrium.kept import evaluated, renewed
 from jaxgrow.equilibrium.lbfgs import LBFGS
 from jaxgrow.equilibrium.listing import (
@@ -24,6 +25,8 @@ from jaxgrow.equilibrium.listing import (
     prepared,
     with_contacts,
 )
+from jaxgrow.equilibrium.lists import Lists
+from jaxgrow.equilibrium.loops import with_loops
 from jaxgrow.equilibrium.part import (
     able,
     around,
@@ -33,7 +36,7 @@ from jaxgrow.equilibrium.part import (
     Part,
     Sizes,
 )
-from jaxgrow.equilibrium.problem import Lists, Problem
+from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.stages import Found, Limits, run_stage, Stage
 from jaxgrow.neighbors import of_part
 from jaxgrow.numerics import safe_norm
@@ -121,9 +124,8 @@ class Judged(NamedTuple):
 
 
 @eqx.filter_jit
-def _but_pairs(problem: Problem, lists: Lists) -> Nodes:
-    """Forces of all terms but that between particles."""
-    return problem.forces(problem.nodes(), Lists(None, lists.contacts))
+def _forces(problem: Problem, lists: Lists) -> Nodes:
+    return problem.forces(problem.nodes(), lists)
 
 
 def _judge(problem: Problem, lists: Lists, free: Mask) -> Judged:
@@ -136,15 +138,15 @@ def _judge(problem: Problem, lists: Lists, free: Mask) -> Judged:
         if kept is None:
             lists = prepared(problem, lists, None)
             assert lists.neighbors is not None
-            listed = lists.neighbors.listed
-            kept = evaluated(problem.particles, listed, problem.parameters)
+            kept = evaluated(problem.particles, lists.neighbors, problem.parameters)
         else:
             lists = with_contacts(problem, lists)
     if problem.membrane is None:
         assert kept is not None
         force = Nodes(kept.force, None)
     else:
-        force = _but_pairs(problem, lists)
+        others = Lists(None, lists.contacts)
+        force = _forces(with_loops(problem, others), others)
         if kept is not None:
             assert force.particles is not None
             force = Nodes(force.particles + kept.force, force.vertices)
@@ -153,7 +155,12 @@ def _judge(problem: Problem, lists: Lists, free: Mask) -> Judged:
 
 
 def may_pay(problem: Problem) -> bool:
-    """Whether a problem is large enough to look for the part that is disturbed."""
+    """Whether a problem is large enough to look for the part that is disturbed.
+
+    Of energies that are not the membrane's own it is not known how far they act.
+    """
+    if problem.functions or not all(isinstance(t, MembraneTerm) for t in problem.terms):
+        return False
     count = 0
     if problem.particles is not None:
         count += problem.particles.position.shape[0]

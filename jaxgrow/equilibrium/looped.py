@@ -14,24 +14,23 @@ from jaxtyping import Array, Float, Int
 
 from jaxgrow import cells, neighbors as nb
 from jaxgrow.energy.a2 import CUTOFF
-from jaxgrow.energy.collision import Collisions, numbers_of_collision
-from jaxgrow.energy.contact import Contacts, numbers_of_contact, reach
-from jaxgrow.energy.pair import numbers_of_pair
-from jaxgrow.energy.springs import numbers_of_springs
+from jaxgrow.energy.collision import Collisions
+from jaxgrow.energy.contact import Contacts, reach
 from jaxgrow.equilibrium.descent import Descent
 from jaxgrow.equilibrium.lbfgs import LBFGS, LBFGSMemory
+from jaxgrow.equilibrium.lists import Lists
+from jaxgrow.equilibrium.loops import make_wiring, wired
 from jaxgrow.equilibrium.problem import (
     CANDIDATE_SKIN,
     COLLISION_SKIN,
     CONTACT_SKIN,
     LEAST_LISTED,
-    Lists,
     Problem,
 )
 from jaxgrow.kernels import layout
-from jaxgrow.kernels.ffi import registered, target
+from jaxgrow.kernels.ffi import target
 from jaxgrow.results import Result
-from jaxgrow.state import Nodes, Species
+from jaxgrow.state import Nodes
 
 
 class _Changed(NamedTuple):
@@ -53,7 +52,6 @@ def descend_by_loop(
     memory: LBFGSMemory | None = None,
 ) -> Descent:
     """As `jaxgrow.equilibrium.descent.descend`; lists need not hold for the start."""
-    scene, laws = _scene(problem, lists), _laws(problem)
     particles, vertices = _both(problem.nodes())
     blank = jnp.zeros((particles.shape[0] + vertices.shape[0], 3))
     known = minimiser.init(blank) if memory is None else memory
@@ -77,7 +75,7 @@ def descend_by_loop(
     )
     bounds = _bounds(problem, lists, tolerance, max_steps, largest)
     changed = _Changed(_wide(problem, lists), _near(problem, lists), now, remembered)
-    end = _call(scene, laws, bounds, changed)
+    end = _call(problem, lists, bounds, changed)
     now, left = end.now, end.memory
     oldest, scale = left.oldest[0], left.scale[0]
     memory = LBFGSMemory(left.displacement, left.change, left.inverse, oldest, scale)
@@ -111,44 +109,27 @@ def _nodes(problem: Problem, particles: Array, vertices: Array) -> Nodes:
 
 def _scene(problem: Problem, lists: Lists) -> layout.Scene:
     flags, none = jnp.zeros(0, bool), jnp.zeros((0, 3))
-    alive = tumour = free_particles = free_vertices = edge_alive = flags
-    face_alive, faces = flags, jnp.zeros((0, 3), int)
-    edges, rest_length = jnp.zeros((0, 2), int), jnp.zeros(0)
+    alive = free_particles = free_vertices = face_alive = flags
+    faces = jnp.zeros((0, 3), int)
     if problem.particles is not None:
         alive, free_particles = problem.particles.alive, problem.particles.free
-        tumour = problem.particles.species == Species.TUMOUR
     membrane = problem.membrane
     if membrane is not None:
         faces, face_alive = membrane.faces.astype(int), membrane.face_alive
-        edges, edge_alive = membrane.edges.astype(int), membrane.edge_alive
-        rest_length, free_vertices = membrane.rest_length, membrane.free
+        free_vertices = membrane.free
     return layout.Scene(
         alive,
-        tumour,
         jnp.concatenate([free_particles, free_vertices]),
         faces,
         face_alive,
-        edges,
-        rest_length,
-        edge_alive,
         none if problem.load is None else problem.load,
         none if lists.encounters is None else lists.encounters.still,
     )
 
 
-def _laws(problem: Problem) -> layout.Laws:
-    parameters, dtype = problem.parameters, problem.dtype
-    return layout.Laws(
-        numbers_of_pair(parameters, dtype),
-        numbers_of_springs(parameters, dtype),
-        numbers_of_contact(parameters, dtype),
-        numbers_of_collision(parameters, dtype),
-    )
-
-
 def _bounds(
     problem: Problem, lists: Lists, tolerance: Array, max_steps: Array, largest: Array
-) -> Float[Array, "16"]:
+) -> Float[Array, "17"]:
     wide_radius, cell, side, strays, few = 0.0, 0.0, 0, 0, False
     if lists.neighbors is not None:
         count = lists.neighbors.reference.shape[0]
@@ -173,6 +154,7 @@ def _bounds(
         collision_skin=COLLISION_SKIN,
         encounter_skin=0.0 if lists.encounters is None else lists.encounters.skin,
         least=LEAST_LISTED,
+        collision_range=problem.parameters.collision_range,
     )
     return jnp.stack([jnp.asarray(bound, problem.dtype) for bound in bounds])
 
@@ -234,14 +216,18 @@ def _lists(
 
 
 def _call(
-    scene: layout.Scene,
-    laws: layout.Laws,
-    bounds: Float[Array, "16"],
-    changed: _Changed,
+    problem: Problem, lists: Lists, bounds: Float[Array, "17"], changed: _Changed
 ) -> _Changed:
-    assert registered("descent")
+    assert problem.loops is not None
+    scene, terms = _scene(problem, lists), wired(problem, lists)
     rows, structure = jax.tree.flatten(changed)
-    fixed = jax.tree.leaves((scene, laws, bounds))
+    # near lists are changed in place, so terms read them there
+    first, buffers = len(scene) + 3, [b for term in terms for b in term.buffers]
+    own = [b for b in buffers if not any(b is row for row in rows)]
+    number = {id(b): first + k for k, b in enumerate(own)}
+    number |= {id(row): first + len(own) + k for k, row in enumerate(rows)}
+    wiring = make_wiring([[number[id(b)] for b in term.buffers] for term in terms])
+    fixed = [*scene, bounds, problem.loops.force, jnp.asarray(wiring), *own]
     call = jax.ffi.ffi_call(
         target("descent"),
         [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in rows],

@@ -12,12 +12,12 @@ from jaxtyping import Array
 from jaxgrow.capacity import capacity_for
 from jaxgrow.energy.collision import Collisions
 from jaxgrow.energy.contact import Contacts, reach
+from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.problem import (
     CANDIDATE_SKIN,
     COLLISION_SKIN,
     CONTACT_SKIN,
     LEAST_LISTED,
-    Lists,
     Problem,
 )
 from jaxgrow.kernels import layout, loops

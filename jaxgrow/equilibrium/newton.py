@@ -12,7 +12,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxgrow.equilibrium.problem import Lists, Problem
+from jaxgrow.equilibrium.lists import Lists
+from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.response import linearise, solve
 from jaxgrow.numerics import safe_norm
 from jaxgrow.results import Result

@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxgrow.capacity import capacity_for
 from jaxgrow.energy.a2 import CUTOFF
 from jaxgrow.energy.contact import reach
+from jaxgrow.energy.term import MembraneTerm
 from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.state import Membrane, Nodes, Particles
 from jaxgrow.transfer import get, get_number, padded, parked, put
@@ -168,7 +169,7 @@ def cut(problem: Problem, moving: Mask, margin: float) -> Part:
     if problem.load is not None:
         load = put(padded(get(problem.load)[near.vertices], room // 2))
     return Part(
-        Problem(particles, membrane, problem.parameters, load),
+        problem.but(particles=particles, membrane=membrane, load=load),
         np.flatnonzero(near.particles),
         np.flatnonzero(near.vertices),
     )
@@ -181,7 +182,11 @@ def _span(problem: Problem) -> float:
         return CUTOFF
     ends = get(membrane.vertices)[get(membrane.edges)[get(membrane.edge_alive)]]
     longest = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).max(initial=0.0)
-    return max(CUTOFF, get_number(reach(problem.parameters)) + longest)
+    across = max(
+        (t.edges for t in problem.terms if isinstance(t, MembraneTerm)), default=1
+    )
+    touched = get_number(reach(problem.parameters)) + longest
+    return max(CUTOFF, touched, across * longest)
 
 
 def _vertices_needed(membrane: Membrane, near: Bool[np.ndarray, " m"]) -> int:
@@ -217,9 +222,12 @@ def _cut_particles(
 
 def _cut_membrane(membrane: Membrane, near: Mask, moving: Mask, room: int) -> Membrane:
     chosen = near.vertices
-    _, faces = _within(membrane.faces, membrane.face_alive, chosen)
+    of_faces, faces = _within(membrane.faces, membrane.face_alive, chosen)
     which, edges = _within(membrane.edges, membrane.edge_alive, chosen)
-    rest_length = get(membrane.rest_length)[which]
+    number = np.append(np.cumsum(chosen) - 1, -1)
+    opposite = get(membrane.opposite)[which]
+    inner = (opposite >= 0) & chosen[opposite]
+    opposite = np.where(inner, number[opposite], -1)
 
     def fitted(array: np.ndarray, like: Array, size: int) -> Array:
         return put(padded(array.astype(like.dtype), size))
@@ -228,7 +236,13 @@ def _cut_membrane(membrane: Membrane, near: Mask, moving: Mask, room: int) -> Me
         vertices=fitted(get(membrane.vertices)[chosen], membrane.vertices, room),
         faces=fitted(faces, membrane.faces, 2 * room),
         edges=fitted(edges, membrane.edges, 3 * room),
-        rest_length=fitted(rest_length, membrane.rest_length, 3 * room),
+        opposite=put(padded(opposite, 3 * room, -1)),
+        rest={
+            name: fitted(get(rest)[which], rest, 3 * room)
+            if rest.shape[0] == membrane.edges.shape[0]
+            else fitted(get(rest)[of_faces], rest, 2 * room)
+            for name, rest in membrane.rest.items()
+        },
         vertex_alive=put(np.arange(room) < chosen.sum()),
         face_alive=put(np.arange(2 * room) < len(faces)),
         edge_alive=put(np.arange(3 * room) < len(edges)),

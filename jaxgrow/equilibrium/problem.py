@@ -1,11 +1,14 @@
 """What is minimised: the sum of the energy terms that a scene has."""
 
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jax.core import Tracer
+from jaxtyping import Array, Float
 
 from jaxgrow import neighbors as nb
 from jaxgrow.energy.collision import (
@@ -19,15 +22,16 @@ from jaxgrow.energy.contact import (
     clearances,
     contact_distances,
     contact_energy,
-    contact_forces,
     Contacts,
     list_contacts,
     narrow_contacts,
     reach,
 )
 from jaxgrow.energy.pair import pair_energy, pair_force
-from jaxgrow.energy.springs import spring_energy
-from jaxgrow.equilibrium.kept import Kept
+from jaxgrow.energy.term import energy_of_elements, MembraneTerm, Term
+from jaxgrow.energy.terms import MEMBRANE_TERMS
+from jaxgrow.equilibrium.lists import Lists, Outgrown
+from jaxgrow.equilibrium.loops import evaluate, Loops, wired
 from jaxgrow.parameters import as_arrays, Parameters
 from jaxgrow.state import Membrane, Nodes, Particles
 from jaxgrow.types import Scalar
@@ -53,101 +57,39 @@ COLLISION_SKIN = 0.3
 vertices exceed it together."""
 
 
-class Lists(eqx.Module):
-    """The lists of a problem, each only where it has the term.
-
-    Attributes:
-        neighbors: of particles.
-        contacts: pairs of a particle and a triangle that the energy is computed from.
-        candidates: more of them, in which those are found again.
-        collisions: of the membrane, that the energy is computed from.
-        encounters: more of them, listed by the host, in which those are found again;
-            None where the host's are the energy's.
-        kept: pair forces that were evaluated last, where they are kept.
-    """
-
-    neighbors: nb.Neighbors | None
-    contacts: Contacts | None
-    candidates: Contacts | None = None
-    collisions: Collisions | None = None
-    encounters: Collisions | None = None
-    kept: Kept | None = None
-
-    @property
-    def overflow(self) -> Bool[Array, ""]:
-        """Whether a list did not fit."""
-        full = jnp.zeros((), bool)
-        if self.neighbors is not None:
-            full |= self.neighbors.overflow
-        if self.contacts is not None:
-            full |= self.contacts.overflow
-        if self.candidates is not None:
-            full |= self.candidates.overflow
-        if self.collisions is not None:
-            full |= self.collisions.full
-        return full
-
-    @property
-    def of_host(self) -> Collisions | None:
-        """The collisions that the host listed."""
-        return self.collisions if self.encounters is None else self.encounters
-
-    @property
-    def stale(self) -> Bool[Array, ""]:
-        """Whether the host must list the collisions anew before the next step."""
-        if self.of_host is None:
-            return jnp.zeros((), bool)
-        return self.of_host.stale
-
-    def with_collisions(
-        self, collisions: Collisions | None, encounters: Collisions | None = None
-    ) -> "Lists":
-        """The same lists with others of the collisions."""
-        known = self.neighbors, self.contacts, self.candidates
-        return Lists(*known, collisions, encounters)
-
-    def with_stale(self, stale: Bool[Array, ""]) -> "Lists":
-        """The same lists; whether the host must list the collisions anew."""
-        if self.of_host is None:
-            return self
-        return eqx.tree_at(lambda lists: lists.of_host.stale, self, stale)
-
-
-class Outgrown(eqx.Module):
-    """Which lists do not hold where the nodes are.
-
-    Attributes:
-        neighbors, contacts, collisions: what is listed anew on the device.
-        of_host: the collisions that the host must list anew.
-    """
-
-    neighbors: Bool[Array, ""]
-    contacts: Bool[Array, ""]
-    collisions: Bool[Array, ""]
-    of_host: Bool[Array, ""]
-
-    @classmethod
-    def nothing(cls) -> "Outgrown":
-        """All of them hold."""
-        no = jnp.zeros((), bool)
-        return cls(no, no, no, no)
-
-    def any(self) -> Bool[Array, ""]:
-        """Whether one does not."""
-        return self.neighbors | self.contacts | self.collisions | self.of_host
-
-
 class Distances(NamedTuple):
-    """How far what may meet is apart, in r0.
+    """Exact distances of what is listed, in r0.
 
     Attributes:
-        contact: clearances of particles and vertices from each other; None without
-            that term.
+        contact: of every particle and triangle; None without that term.
         collision: of a vertex and a triangle, and of two edges; likewise.
     """
 
-    contact: tuple[Float[Array, " n"], Float[Array, " m"]] | None
+    contact: Float[Array, " p"] | None
     collision: PairDistances | None
+
+
+EnergyFunction: TypeAlias = Callable[[Particles | None, Membrane | None], Array]
+"""An energy of particles and membrane, in F(0) r0."""
+
+
+class _Function(eqx.Module):
+    """A plain function as an energy: it is the same program if it is the same object."""
+
+    function: EnergyFunction = eqx.field(static=True)
+
+    def __call__(self, particles: Particles | None, membrane: Membrane | None) -> Array:
+        return self.function(particles, membrane)
+
+
+def _as_module(function: EnergyFunction) -> EnergyFunction:
+    """A function whose arrays, if it has any, are arguments of a program."""
+    return function if isinstance(function, eqx.Module) else _Function(function)
+
+
+def _acts(modulus: Scalar) -> bool:
+    """Whether a term is there: its modulus is not 0, or its derivative is taken."""
+    return isinstance(modulus, Tracer) or bool(modulus != 0)
 
 
 class Problem(eqx.Module):
@@ -158,12 +100,18 @@ class Problem(eqx.Module):
         membrane: None for particles alone.
         parameters: of all terms.
         load: external force on every vertex, in F(0), or None.
+        terms: energies that are sums over elements.
+        functions: further energies, of particles and membrane, in F(0) r0.
+        loops: of the terms, where a processor evaluates them; see `with_loops`.
     """
 
     particles: Particles | None
     membrane: Membrane | None
     parameters: Parameters
     load: Float[Array, "m 3"] | None = None
+    terms: tuple[Term, ...] = MEMBRANE_TERMS
+    functions: tuple[EnergyFunction, ...] = ()
+    loops: Loops | None = None
 
     @classmethod
     def of(
@@ -172,15 +120,48 @@ class Problem(eqx.Module):
         membrane: Membrane | None,
         parameters: Parameters | None = None,
         load: Float[Array, "m 3"] | None = None,
+        extra: Sequence[Term | EnergyFunction] = (),
     ) -> "Problem":
         """A problem whose parameters, by default `Parameters()`, are arrays.
 
-        A Python float would be a constant of the program, compiled for each value.
+        A Python float would be a constant of the program, compiled for each value. Terms
+        of the membrane whose modulus is 0, and carries no derivative, are left out.
+
+        Args:
+            particles: or None for a membrane alone.
+            membrane: or None for particles alone.
+            parameters: of all terms.
+            load: external force on every vertex, in F(0).
+            extra: further terms: objects of the kind of `jaxgrow.energy.term.Term`, or
+                functions of particles and membrane.
         """
-        given = Parameters() if parameters is None else parameters
-        problem = cls(particles, membrane, given, load)
-        arrays = as_arrays(given, problem.dtype)
-        return problem if arrays is given else cls(particles, membrane, arrays, load)
+        parameters = Parameters() if parameters is None else parameters
+        terms = [t for t in MEMBRANE_TERMS if _acts(getattr(parameters, t.modulus))]
+        terms += [term for term in extra if isinstance(term, Term)]
+        functions = [f for f in extra if not isinstance(f, Term)]
+        if membrane is not None:
+            new = [t for t in terms if isinstance(t, MembraneTerm)]
+            new = [t for t in new if t.name not in membrane.rest]
+            more = {term.name: term.at_rest(membrane) for term in new}
+            membrane = (
+                membrane.with_rest({**membrane.rest, **more}) if new else membrane
+            )
+        problem = cls(
+            *(particles, membrane, parameters, load),
+            terms=tuple(terms),
+            functions=tuple(map(_as_module, functions)),
+        )
+        arrays = as_arrays(parameters, problem.dtype)
+        return problem.but(parameters=arrays)
+
+    def with_loops(self, loops: Loops | None) -> "Problem":
+        """The same problem with other loops."""
+        return self if loops is self.loops else self.but(loops=loops)
+
+    def but(self, **changes: Any) -> "Problem":
+        """Return the same problem with other values of some fields."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return Problem(**{**values, **changes})
 
     @property
     def dtype(self) -> jnp.dtype:
@@ -212,7 +193,7 @@ class Problem(eqx.Module):
         if membrane is not None:
             assert nodes.vertices is not None
             membrane = membrane.at(nodes.vertices)
-        return Problem(particles, membrane, self.parameters, self.load)
+        return self.but(particles=particles, membrane=membrane)
 
     def free(self) -> Nodes:
         """1 for rows that may move, 0 for held, pinned and padding ones."""
@@ -230,21 +211,37 @@ class Problem(eqx.Module):
     def energy(self, nodes: Nodes, lists: Lists) -> Float[Array, ""]:
         """Energy in F(0) r0; only the terms that the scene has are traced."""
         at = self.at(nodes)
-        total = at._of_membrane(lists, None)
-        if lists.contacts is not None:
-            total += contact_energy(*at.both(), lists.contacts, self.parameters)
-        if lists.neighbors is not None:
-            assert at.particles is not None
-            total += pair_energy(at.particles, lists.neighbors.listed, self.parameters)
-        return total
+        return at._energy(lists, at.distances(lists))
 
     def forces(self, nodes: Nodes, lists: Lists) -> Nodes:
-        """Minus the gradient of the energy, on held and pinned nodes too.
+        """Minus the gradient of the energy, on held and pinned nodes too."""
+        return self._forces_and_clearances(nodes, lists)[0]
 
-        The pair force is evaluated on its own; it would be the same through the
-        derivative rule of `pair_energy`, which costs the energy as well.
+    def product(self, nodes: Nodes, lists: Lists) -> Callable[[Nodes], Nodes]:
+        """The function that multiplies a displacement by the energy's Hessian.
+
+        Args:
+            nodes: where the Hessian is taken.
+            lists: valid there.
         """
-        return self._forces_and_distances(nodes, lists)[0]
+        loops = self.loops
+        if loops is None or loops.product is None:
+            plain = self.but(loops=None)
+            _, slope = jax.linearize(lambda at: plain.forces(at, lists), nodes)
+            return lambda along: jax.tree.map(jnp.negative, slope(along))
+
+        def rest(at: Nodes) -> Float[Array, ""]:
+            moved = self.at(at)
+            return moved._energy(lists, moved.distances(lists), (*loops.names, "load"))
+
+        def multiplied(along: Nodes) -> Nodes:
+            own, _ = evaluate(self, nodes, lists, along)
+            if self._is_done(lists):
+                return own
+            more = jax.jvp(jax.grad(rest), (nodes,), (along,))[1]
+            return jax.tree.map(jnp.add, own, more)
+
+        return multiplied
 
     def bound(
         self,
@@ -266,35 +263,40 @@ class Problem(eqx.Module):
             largest: in r0.
             distances: if they are known.
         """
-        free = self.free()
-        limit = jax.tree.map(lambda f: f[:, 0] * largest, free)
         at = self.at(nodes)
         if distances is None:
             distances = at.distances(lists)
+        return at._bound_by(at._clearances(lists, distances), largest)
+
+    def _bound_by(self, clear: Nodes, largest: Scalar) -> Nodes:
+        """The bound of every node whose clearance is known."""
+        return jax.tree.map(
+            lambda free, near: free[:, 0] * jnp.minimum(largest, 0.4 * near),
+            *(self.free(), clear),
+        )
+
+    def _clearances(self, lists: Lists, distances: Distances) -> Nodes:
+        """Distance of every node to what it must not cross; infinite where nothing is."""
+        clear = jax.tree.map(lambda x: jnp.full_like(x[:, 0], jnp.inf), self.nodes())
         if lists.contacts is not None:
             assert distances.contact is not None
-            of_particles, of_vertices = distances.contact
-            limit = Nodes(
-                jnp.minimum(limit.particles, 0.4 * of_particles),
-                jnp.minimum(limit.vertices, 0.4 * of_vertices),
-            )
+            particles, membrane = self.both()
+            count = particles.position.shape[0]
+            given = lists.contacts, membrane, count
+            clear = Nodes(*clearances(distances.contact, *given))
         if lists.collisions is not None:
-            assert at.membrane is not None
-            assert distances.collision is not None
-            clear = collision_clearances(
-                at.membrane, lists.collisions, distances.collision
-            )
-            limit = eqx.tree_at(
-                lambda n: n.vertices, limit, jnp.minimum(limit.vertices, 0.4 * clear)
-            )
-        return limit
+            assert self.membrane is not None
+            given = self.membrane, lists.collisions, distances.collision
+            near = jnp.minimum(clear.vertices, collision_clearances(*given))
+            clear = eqx.tree_at(lambda n: n.vertices, clear, near)
+        return clear
 
     def forces_and_bound(
         self, nodes: Nodes, lists: Lists, largest: Scalar
     ) -> tuple[Nodes, Nodes]:
         """Both, from the same distances."""
-        forces, distances = self._forces_and_distances(nodes, lists)
-        return forces, self.bound(nodes, lists, largest, distances)
+        forces, clear = self._forces_and_clearances(nodes, lists)
+        return forces, self._bound_by(clear, largest)
 
     def outgrown(self, nodes: Nodes, lists: Lists) -> Outgrown:
         """Which lists do not hold at these positions: something moved too far."""
@@ -388,56 +390,76 @@ class Problem(eqx.Module):
         return self.rebuilt(nodes, lists, self.outgrown(nodes, lists))
 
     def distances(self, lists: Lists) -> Distances:
-        """Where the nodes are."""
+        """Exact distances where the nodes are."""
         contact = collision = None
-        if self.membrane is not None:
-            if lists.contacts is not None:
-                particles, membrane = self.both()
-                apart = contact_distances(particles, membrane, lists.contacts)
-                count = particles.position.shape[0]
-                contact = clearances(apart, lists.contacts, membrane, count)
-            if lists.collisions is not None:
-                collision = lists.collisions.distances(self.membrane)
+        if lists.contacts is not None:
+            contact = contact_distances(*self.both(), lists.contacts)
+        if lists.collisions is not None and self.membrane is not None:
+            collision = lists.collisions.distances(self.membrane)
         return Distances(contact, collision)
 
-    def _forces_and_distances(
-        self, nodes: Nodes, lists: Lists
-    ) -> tuple[Nodes, Distances]:
-        def of_membrane(at: Nodes) -> tuple[Float[Array, ""], PairDistances | None]:
+    def _forces_and_clearances(self, nodes: Nodes, lists: Lists) -> tuple[Nodes, Nodes]:
+        """By loops where there are some, else by autodiff; see `Problem.bound`."""
+        done = () if self.loops is None else self.loops.names
+        with_load = self.at(nodes)._with_load
+
+        def rest(at: Nodes) -> tuple[Float[Array, ""], Distances]:
             moved = self.at(at)
-            apart = None
-            if lists.collisions is not None and moved.membrane is not None:
-                apart = lists.collisions.distances(moved.membrane)
-            return moved._of_membrane(lists, apart), apart
+            apart = moved.distances(lists)
+            return moved._energy(lists, apart, (*done, "pair", "load")), apart
 
-        moved = self.at(nodes)
-        total, contact, collision = jax.tree.map(jnp.zeros_like, nodes), None, None
-        if self.membrane is not None:
-            slope, collision = jax.grad(of_membrane, has_aux=True)(nodes)
-            total = jax.tree.map(jnp.negative, slope)
-        if lists.contacts is not None:
-            found = contact_forces(*moved.both(), lists.contacts, self.parameters)
-            contact = found.clearances
-            pushed = Nodes(found.particles, found.vertices)
-            total = jax.tree.map(jnp.add, total, pushed)
-        if lists.neighbors is not None:
-            assert moved.particles is not None
-            pair = pair_force(moved.particles, lists.neighbors.listed, self.parameters)
-            total = eqx.tree_at(lambda n: n.particles, total, total.particles + pair)
-        return total, Distances(contact, collision)
+        if self.loops is not None and self._is_done(lists):
+            forces, clear = evaluate(self, nodes, lists)
+            return with_load(forces), clear
+        slope, apart = jax.grad(rest, has_aux=True)(nodes)
+        forces = jax.tree.map(jnp.negative, slope)
+        if self.loops is not None:
+            forces = jax.tree.map(jnp.add, forces, evaluate(self, nodes, lists)[0])
+        if lists.neighbors is not None and "pair" not in done:
+            particles = self.at(nodes).particles
+            assert particles is not None
+            # without the energy, which its derivative rule evaluates too
+            pair = pair_force(particles, lists.neighbors.listed, self.parameters)
+            forces = eqx.tree_at(lambda n: n.particles, forces, forces.particles + pair)
+        return with_load(forces), self.at(nodes)._clearances(lists, apart)
 
-    def _of_membrane(
-        self, lists: Lists, apart: PairDistances | None
+    def _with_load(self, forces: Nodes) -> Nodes:
+        """Forces with the load's."""
+        if self.load is None or self.membrane is None:
+            return forces
+        assert forces.vertices is not None
+        return Nodes(forces.particles, forces.vertices + self.load)
+
+    def _is_done(self, lists: Lists) -> bool:
+        """Whether loops evaluate everything but the load."""
+        assert self.loops is not None
+        names = {term.name for term in wired(self, lists)}
+        return not self.functions and names <= set(self.loops.names)
+
+    def _energy(
+        self, lists: Lists, apart: Distances, but: tuple[str, ...] = ()
     ) -> Float[Array, ""]:
-        """Energy of the membrane but for its contact with particles."""
+        """Energy where it is, of all terms but those named."""
         total = jnp.zeros((), self.dtype)
-        if self.membrane is None:
-            return total
-        total += spring_energy(self.membrane, self.parameters)
-        if lists.collisions is not None:
-            total += collision_energy(
-                self.membrane, lists.collisions, self.parameters, apart
-            )
-        if self.load is not None:
-            total -= jnp.sum(self.load * self.membrane.vertices)
+        particles, membrane = self.particles, self.membrane
+        for term in self.terms:
+            elements = term.elements(particles, membrane)
+            if elements is not None and term.name not in but:
+                rows = jnp.concatenate(jax.tree.leaves(self.nodes()))
+                total += energy_of_elements(term, rows, elements, self.parameters)
+        for function in self.functions:
+            total += function(particles, membrane)
+        if lists.collisions is not None and "collision" not in but:
+            assert membrane is not None
+            given = lists.collisions, self.parameters, apart.collision
+            total += collision_energy(membrane, *given)
+        if lists.contacts is not None and "contact" not in but:
+            given = lists.contacts, self.parameters, apart.contact
+            total += contact_energy(*self.both(), *given)
+        if lists.neighbors is not None and "pair" not in but:
+            assert particles is not None
+            listed = lists.neighbors.listed
+            total += pair_energy(particles, listed, self.parameters)
+        if self.load is not None and membrane is not None and "load" not in but:
+            total -= jnp.sum(self.load * membrane.vertices)
         return total

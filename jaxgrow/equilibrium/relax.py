@@ -15,8 +15,9 @@ from jaxgrow.equilibrium.listing import (
     fits,
     prepared,
 )
+from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.local import may_pay, relax_locally
-from jaxgrow.equilibrium.problem import LARGEST_STEP, Lists, Problem
+from jaxgrow.equilibrium.problem import LARGEST_STEP, Problem
 from jaxgrow.equilibrium.stages import (
     exact_tolerance,
     goal_of,
@@ -190,8 +191,7 @@ def relax(
     problem = primal(given) if differentiated else given
     own = problem.particles
     if own is not None and may_coincide(get(own.position), get(own.alive)):
-        apart = _set_apart(own)
-        problem = Problem(apart, problem.membrane, problem.parameters, problem.load)
+        problem = problem.but(particles=_set_apart(own))
     if differentiated:
         tolerance = min(tolerance, exact_tolerance(given.dtype))
     goal = goal_of(tolerance, given.dtype)

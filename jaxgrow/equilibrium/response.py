@@ -33,7 +33,8 @@ import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxgrow.equilibrium.problem import Lists, Problem
+from jaxgrow.equilibrium.lists import Lists
+from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.results import Result
 from jaxgrow.state import Nodes
 from jaxgrow.types import Scalar
@@ -116,12 +117,11 @@ def linearise(problem: Problem, lists: Lists) -> Linearised:
     def masked(nodes: Nodes) -> Nodes:
         return jax.tree.map(jnp.multiply, free, nodes)
 
-    force, slope = jax.linearize(
-        lambda nodes: problem.forces(nodes, lists), problem.nodes()
-    )
+    force = problem.forces(problem.nodes(), lists)
+    hessian = problem.product(problem.nodes(), lists)
 
     def product(vector: Nodes) -> Nodes:
-        return jax.tree.map(jnp.negative, masked(slope(masked(vector))))
+        return masked(hessian(masked(vector)))
 
     uneven = jax.tree.map(_uneven, problem.nodes())
     touching, rigid, count = _null_modes(problem, product(uneven))

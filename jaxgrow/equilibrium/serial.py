@@ -10,11 +10,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxgrow.energy.pair import Crowd, crowd_of, force_on
-from jaxgrow.equilibrium.problem import Lists, Problem
+from jaxgrow.energy.pair import force_on
+from jaxgrow.equilibrium.lists import Lists
+from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.numerics import safe_norm
 from jaxgrow.results import Result
-from jaxgrow.state import Nodes
+from jaxgrow.state import Nodes, Particles
 
 
 RATE = 0.64
@@ -82,22 +83,15 @@ def sweep(
         moved = problem.at(nodes)
         assert moved.particles is not None
 
-        def turn(index: Array, crowd: Crowd) -> Crowd:
-            step = rate * force_on(index, crowd, listed, problem.parameters)
+        def turn(index: Array, particles: Particles) -> Particles:
+            step = rate * force_on(index, particles, listed, problem.parameters)
             length = safe_norm(step)
             scale = jnp.minimum(1, largest / jnp.where(length > 0, length, 1))
             step = jnp.where(able[index], scale * step, 0)
-            columns = zip(crowd.columns, step, strict=True)
-            return crowd._replace(
-                columns=tuple(x.at[index].add(dx) for x, dx in columns)
-            )
+            return particles.at(particles.position.at[index].add(step))
 
-        count = able.shape[0]
-        crowd = jax.lax.fori_loop(0, count, turn, crowd_of(moved.particles))
-        rows = jnp.stack([column[:-1] for column in crowd.columns], axis=1)
-        # dead particles are elsewhere in a crowd
-        rows = jnp.where(able[:, None], rows, moved.particles.position)
-        return Nodes(rows, None)
+        end = jax.lax.fori_loop(0, able.shape[0], turn, moved.particles)
+        return Nodes(end.position, None)
 
     def step(now: Swept) -> Swept:
         nodes = one(now.nodes, now.lists)

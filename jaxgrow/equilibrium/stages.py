@@ -14,10 +14,11 @@ from jaxgrow.equilibrium.euler import Euler
 from jaxgrow.equilibrium.fire import FIRE
 from jaxgrow.equilibrium.lbfgs import LBFGS
 from jaxgrow.equilibrium.listing import allocate_lists, CollisionLister, prepared
+from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.looped import descend_by_loop
-from jaxgrow.equilibrium.looped_lists import is_looped
+from jaxgrow.equilibrium.loops import all_loop, with_loops
 from jaxgrow.equilibrium.newton import polish
-from jaxgrow.equilibrium.problem import Lists, Problem
+from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.serial import sweep
 from jaxgrow.equilibrium.trust import descend_by_trust
 from jaxgrow.parameters import Parameters
@@ -140,7 +141,9 @@ def run_stage(
     observe: Callable[[Nodes], None] | None,
 ) -> Found:
     """One method; every list that overflows is allocated anew and larger."""
-    if isinstance(stage.minimiser, LBFGS) and is_looped(problem):
+    newton = stage.name == "newton"
+    problem = with_loops(problem, lists, products=newton)
+    if isinstance(stage.minimiser, LBFGS) and all_loop(problem, lists):
         run = _Looped(stage.minimiser, limits)
     else:
         run = _Compiled(stage, limits, problem)
@@ -150,9 +153,10 @@ def run_stage(
         memory = _blank_memory(problem, stage.minimiser)
     while True:
         lists = prepared(problem, lists, collide, refresh=run.refreshes)
+        problem = with_loops(problem, lists, products=newton)
         left = limits.max_steps - steps
         # newton's is not observed step by step
-        single = observe is not None and stage.name != "newton"
+        single = observe is not None and not newton
         outcome = run(problem, lists, 1 if single else left, memory)
         steps, rebuilds = steps + outcome.steps, rebuilds + outcome.rebuilds
         memory, lists = outcome.memory, outcome.lists

@@ -23,7 +23,8 @@ from jaxtyping import Array, Float
 
 from jaxgrow.equilibrium.lbfgs import LBFGS
 from jaxgrow.equilibrium.listing import CollisionLister
-from jaxgrow.equilibrium.problem import Lists, Problem
+from jaxgrow.equilibrium.lists import Lists
+from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.stages import Found, Limits, run_stage, Stage
 from jaxgrow.numerics import safe_norm
 from jaxgrow.results import Result
@@ -48,13 +49,13 @@ def _loaded(problem: Problem, lists: Lists, force: Nodes) -> Problem:
         lists: those of the membrane alone.
         force: of all terms, on all nodes.
     """
-    alone = Problem(None, problem.membrane, problem.parameters, problem.load)
+    alone = problem.but(particles=None, loops=None)
     own = alone.forces(alone.nodes(), lists).vertices
     assert own is not None
     assert force.vertices is not None
     dead = force.vertices - own
     load = dead if problem.load is None else problem.load + dead
-    return Problem(None, problem.membrane, problem.parameters, load)
+    return alone.but(load=load)
 
 
 @eqx.filter_jit

@@ -24,7 +24,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxgrow.equilibrium.problem import Lists, Problem
+from jaxgrow.equilibrium.lists import Lists
+from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.response import dot, Product
 from jaxgrow.numerics import safe_norm
 from jaxgrow.results import Result
@@ -221,7 +222,8 @@ def descend_by_trust(
         outgrown = problem.outgrown(now.trial, best.lists)
         lists = problem.rebuilt(now.trial, best.lists, outgrown)
         energy = problem.energy(now.trial, lists)
-        force, slope = jax.linearize(lambda x: problem.forces(x, lists), now.trial)
+        force = problem.forces(now.trial, lists)
+        hessian = problem.product(now.trial, lists)
         residual = _largest(masked(force))
         ratio = agreement(now, energy, residual)
         taken = now.certain | ((ratio > _ACCEPTED) & jnp.isfinite(residual))
@@ -246,7 +248,7 @@ def descend_by_trust(
         force = masked(force)
         step = _lessen(
             force,
-            lambda way: jax.tree.map(jnp.negative, masked(slope(masked(way)))),
+            lambda way: masked(hessian(masked(way))),
             jax.tree.map(lambda b: share * b, bound),
             jnp.sqrt(dot(force, force)) * exactness(best.residual),
             jnp.where(taken & unfinished(best), max_products - best.products, 0),

@@ -1,161 +1,285 @@
-"""The loops over pairs of `jaxgrow.energy.collision.collision_energy`.
+"""Loops over parts of the surface that may collide, for laws that are printed.
 
-The forces are minus the gradient of that energy. That of a distance is the one at fixed
-closest points (envelope theorem).
+The laws are those of `jaxgrow.energy.collision`; here is the geometry.
 """
 
 import math
-from typing import no_type_check
+from typing import Any, no_type_check
 
 import numpy as np
 
-from jaxgrow.kernels.closest import (
-    closest_of_segments,
-    LENGTH,
-    measure,
-    OF_B,
-    OF_C,
-)
-from jaxgrow.kernels.laws import a2, branches, steepness
-from jaxgrow.kernels.layout import Pairs
+from jaxgrow.kernels.closest import closest_of_segments, LENGTH, measure, OF_B, OF_C
+from jaxgrow.kernels.contact import add_bent, approach
 from jaxgrow.kernels.regrouped import regrouped
-from jaxgrow.kernels.smooth_minimum import smooth_minima
+from jaxgrow.kernels.smooth_minimum import smooth_changes, smooth_minima
 
 
 @regrouped
 @no_type_check
-def add_up(
+def _found(
     points: np.ndarray,
-    pairs: Pairs,
-    law: np.ndarray,
-    force: np.ndarray,
-    clear: np.ndarray,
-) -> None:
-    """Add the forces of collisions, and bound distances to what may not be crossed.
-
-    Args:
-        points: the membrane's vertices, then the static ones, in r0.
-        pairs: that are near.
-        law: collision range and stiffness, smoothing, sharpness, stiffness of the
-            barrier, and the squared sine below which edges are nearly parallel.
-        force: on all points, in F(0); added to.
-        clear: distances in r0, the least so far; lowered.
-    """
-    _add_vertices(points, pairs, law, force, clear)
-    _add_edges(points, pairs, law, force, clear)
-
-
-@regrouped
-@no_type_check
-def _add_vertices(
-    points: np.ndarray,
-    pairs: Pairs,
-    law: np.ndarray,
-    force: np.ndarray,
-    clear: np.ndarray,
-) -> None:
-    """Those of vertices against triangles."""
-    scale, stiffness, half, barrier = law[0], law[1], 0.5 * law[3], law[4]
-    low, blend, edge, tail = branches(law[2], 1.5)
-    owner, corners, margin = pairs.vertex, pairs.corners, pairs.vertex_margin
-    count = len(owner)
+    vertex: np.ndarray,
+    corners: np.ndarray,
+    apart: np.ndarray,
+    margin: np.ndarray,
+    scale: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Closest points of the pairs, and distances of those apart in collision ranges."""
+    count = len(vertex)
     while count > 0 and not margin[count - 1] > 0.0:
         count -= 1
     found = np.zeros((6, count))
-    measure(points, owner[:count], points, corners[:count].T, found)
-    value, u, slope = np.zeros(count), np.zeros(count), np.zeros(count)
+    measure(points, vertex[:count], points, corners[:count].T, found)
+    value = np.zeros(count)
     for pair in range(count):
-        value[pair] = 1.0
-        if margin[pair] > 0.0:
-            i, length = owner[pair], found[LENGTH, pair]
-            clear[i] = min(clear[i], length)
-            for corner in range(3):
-                node = corners[pair, corner]
-                clear[node] = min(clear[node], length)
-            if pairs.apart[pair]:
-                value[pair] = length / scale
-    smooth_minima(owner[:count], value, half, 1.0, u, slope)
+        counts = margin[pair] > 0.0 and apart[pair]
+        value[pair] = found[LENGTH, pair] / scale if counts else 1.0
+    return found, value
+
+
+@regrouped
+@no_type_check
+def add_forces(
+    slope_of: Any,
+    wall_of: Any,
+    points: np.ndarray,
+    vertex: np.ndarray,
+    corners: np.ndarray,
+    apart: np.ndarray,
+    margin: np.ndarray,
+    scale: float,
+    half: float,
+    p: tuple,
+    force: np.ndarray,
+    clear: np.ndarray,
+) -> None:
+    """Add the forces of vertices against triangles, and bound distances.
+
+    Args:
+        slope_of: of the repulsion: function of a smooth distance and the parameters.
+        wall_of: of the barrier: function of distance, margin and parameters.
+        points: the membrane's vertices, then the static ones, in r0.
+        vertex: of each pair, ascending.
+        corners: of its triangle.
+        apart: whether the two are far from each other along the surface.
+        margin: where the barrier sets in; 0 for padding.
+        scale: collision range, in r0.
+        half: of the sharpness.
+        p: parameters of the laws.
+        force: on all points, in F(0); added to.
+        clear: distances in r0, the least so far; lowered.
+    """
+    found, value = _found(points, vertex, corners, apart, margin, scale)
+    count = len(value)
+    u, slope, power = np.zeros(count), np.zeros(count), np.zeros(count)
+    smooth_minima(vertex[:count], value, half, 1.0, u, slope, power)
     push = 0.0
     for pair in range(count):
-        i, length = owner[pair], found[LENGTH, pair]
-        if pair == 0 or i != owner[pair - 1]:
-            push = 0.0
-            if u[pair] < 1.0:
-                push = stiffness * a2(u[pair], 0.0, low, blend, edge, tail)
+        i, length = vertex[pair], found[LENGTH, pair]
+        a, b, c = corners[pair, 0], corners[pair, 1], corners[pair, 2]
+        if pair == 0 or i != vertex[pair - 1]:
+            push = -slope_of(u[pair], *p)[0] / scale if u[pair] < 1.0 else 0.0
         size = push * slope[pair]
         if margin[pair] > 0.0:
-            size += barrier * steepness(length / scale, margin[pair])
+            for node in (i, a, b, c):
+                clear[node] = min(clear[node], length)
+            if length < margin[pair] * scale:
+                size -= wall_of(length, margin[pair], *p)[0]
         if size > 0.0 and length > 0.0:
             size /= length
             v, w = found[OF_B, pair], found[OF_C, pair]
             for axis in range(3):
                 part = size * found[axis, pair]
                 force[i, axis] += part
-                force[corners[pair, 0], axis] -= part * (1.0 - v - w)
-                force[corners[pair, 1], axis] -= part * v
-                force[corners[pair, 2], axis] -= part * w
+                force[a, axis] -= part * (1.0 - v - w)
+                force[b, axis] -= part * v
+                force[c, axis] -= part * w
 
 
 @regrouped
 @no_type_check
-def _add_edges(
+def add_products(
+    slopes_of: Any,
+    walls_of: Any,
+    bend: Any,
     points: np.ndarray,
-    pairs: Pairs,
-    law: np.ndarray,
+    vertex: np.ndarray,
+    corners: np.ndarray,
+    apart: np.ndarray,
+    margin: np.ndarray,
+    scale: float,
+    half: float,
+    p: tuple,
+    way: np.ndarray,
+    product: np.ndarray,
+) -> None:
+    """Add the product of the Hessian of what `add_forces` adds; see there.
+
+    Args:
+        slopes_of: first and second derivative of the repulsion.
+        walls_of: of the barrier.
+        bend: see `jaxgrow.kernels.contact.add_bent`.
+        points: as for `add_forces`, likewise what follows.
+        vertex: likewise.
+        corners: likewise.
+        apart: likewise.
+        margin: likewise.
+        scale: likewise.
+        half: likewise.
+        p: likewise.
+        way: displacement of all points.
+        product: added to.
+    """
+    found, value = _found(points, vertex, corners, apart, margin, scale)
+    count = len(value)
+    u, slope, power = np.zeros(count), np.zeros(count), np.zeros(count)
+    smooth_minima(vertex[:count], value, half, 1.0, u, slope, power)
+    moved, turned, along = np.zeros(count), np.zeros(count), np.zeros(count)
+    for pair in range(count):
+        if slope[pair] > 0.0:
+            a, b, c = corners[pair, 0], corners[pair, 1], corners[pair, 2]
+            moved[pair] = approach(found, pair, way, vertex[pair], way, a, b, c) / scale
+    smooth_changes(
+        vertex[:count], value, moved, half, 1.0, u, slope, power, along, turned
+    )
+    push, second = 0.0, 0.0
+    for pair in range(count):
+        i, length = vertex[pair], found[LENGTH, pair]
+        a, b, c = corners[pair, 0], corners[pair, 1], corners[pair, 2]
+        if pair == 0 or i != vertex[pair - 1]:
+            push, second = slopes_of(u[pair], *p) if u[pair] < 1.0 else (0.0, 0.0)
+        if not (margin[pair] > 0.0 and length > 0.0):
+            continue
+        change = second * along[pair] * slope[pair] + push * turned[pair]
+        change, size = change / scale, push * slope[pair] / scale
+        if length < margin[pair] * scale:
+            wall, steeper = walls_of(length, margin[pair], *p)
+            change += steeper * approach(found, pair, way, i, way, a, b, c)
+            size += wall
+        if size != 0.0:
+            add_bent(
+                bend,
+                change,
+                size,
+                found,
+                pair,
+                points,
+                i,
+                points,
+                a,
+                b,
+                c,
+                way,
+                way,
+                product,
+                product,
+            )
+
+
+@regrouped
+@no_type_check
+def add_forces_of_edges(
+    wall_of: Any,
+    points: np.ndarray,
+    edges: np.ndarray,
+    margin: np.ndarray,
+    scale: float,
+    p: tuple,
     force: np.ndarray,
     clear: np.ndarray,
 ) -> None:
-    """Those of edges against edges: of m(sin²) b(u)."""
-    scale, barrier, parallel = law[0], law[4], law[5]
-    for pair in range(len(pairs.edges)):
-        margin = pairs.edge_margin[pair]
-        if not margin > 0.0:
+    """Add the forces of edges against edges, and bound distances.
+
+    Args:
+        wall_of: gradient of the barrier: function of the twelve coordinates of the four
+            ends, of margin and parameters.
+        points: the membrane's vertices, then the static ones, in r0.
+        edges: the ends of each pair.
+        margin: where the barrier sets in, in collision ranges; 0 for padding.
+        scale: collision range, in r0.
+        p: parameters of the law.
+        force: on all points, in F(0); added to.
+        clear: distances in r0, the least so far; lowered.
+    """
+    for pair in range(len(edges)):
+        if not margin[pair] > 0.0:
             continue
-        ends = pairs.edges[pair]
-        a, b, c, d = ends[0], ends[1], ends[2], ends[3]
-        found = closest_of_segments(points[a], points[b], points[c], points[d])
-        length = math.sqrt(found[3])
-        for node in (a, b, c, d):
+        ends = edges[pair]
+        length = _between(points, ends)
+        for node in ends:
             clear[node] = min(clear[node], length)
-        u = length / scale
-        if not 0.0 < u < margin:
+        if 0.0 < length < margin[pair] * scale:
+            a, b, c, d = ends[0], ends[1], ends[2], ends[3]
+            g = wall_of(
+                *(points[a, 0], points[a, 1], points[a, 2]),
+                *(points[b, 0], points[b, 1], points[b, 2]),
+                *(points[c, 0], points[c, 1], points[c, 2]),
+                *(points[d, 0], points[d, 1], points[d, 2]),
+                margin[pair],
+                *p,
+            )
+            for axis in range(3):
+                force[a, axis] -= g[axis]
+                force[b, axis] -= g[3 + axis]
+                force[c, axis] -= g[6 + axis]
+                force[d, axis] -= g[9 + axis]
+
+
+@regrouped
+@no_type_check
+def add_products_of_edges(
+    walls_of: Any,
+    points: np.ndarray,
+    edges: np.ndarray,
+    margin: np.ndarray,
+    scale: float,
+    p: tuple,
+    way: np.ndarray,
+    product: np.ndarray,
+) -> None:
+    """Add the product of the Hessian of what `add_forces_of_edges` adds.
+
+    Args:
+        walls_of: product of the Hessian of the barrier: function of twelve coordinates,
+            twelve displacements, margin and parameters.
+        points: as for `add_forces_of_edges`, likewise what follows.
+        edges: likewise.
+        margin: likewise.
+        scale: likewise.
+        p: likewise.
+        way: displacement of all points.
+        product: added to.
+    """
+    for pair in range(len(edges)):
+        ends = edges[pair]
+        if not margin[pair] > 0.0:
             continue
-        square, along, square_other = 0.0, 0.0, 0.0
-        for axis in range(3):
-            one = points[b, axis] - points[a, axis]
-            other = points[d, axis] - points[c, axis]
-            square += one * one
-            along += one * other
-            square_other += other * other
-        whole = square * square_other
-        area = 0.0
-        for axis in range(3):
-            y, z = (axis + 1) % 3, (axis + 2) % 3
-            cross = (points[b, y] - points[a, y]) * (points[d, z] - points[c, z])
-            cross -= (points[b, z] - points[a, z]) * (points[d, y] - points[c, y])
-            area += cross * cross
-        sine = area / whole if whole > 0.0 else 0.0
-        share = min(sine / parallel, 1.0)
-        size = barrier * share * (2.0 - share) * steepness(u, margin) / length
-        # where m is not 1, its own derivative: b dm/dsin² · dsin²/d(one, other)
-        fading = 0.0
-        if share < 1.0 and whole > 0.0:
-            wall = -((u - margin) ** 2) * math.log(u / margin)
-            fading = 2.0 * barrier * scale * wall * (1.0 - share) / parallel / whole
-        s, t = found[4], found[5]
-        for axis in range(3):
-            part = size * found[axis]
-            force[a, axis] += part * (1.0 - s)
-            force[b, axis] += part * s
-            force[c, axis] -= part * (1.0 - t)
-            force[d, axis] -= part * t
-            if fading > 0.0:
-                one = points[b, axis] - points[a, axis]
-                other = points[d, axis] - points[c, axis]
-                # d sin² / d one, but for 2 / (|one|² |other|²); likewise of the other
-                of_one = square_other * one * (1.0 - sine) - along * other
-                of_other = square * other * (1.0 - sine) - along * one
-                force[b, axis] -= 2.0 * fading * of_one
-                force[a, axis] += 2.0 * fading * of_one
-                force[d, axis] -= 2.0 * fading * of_other
-                force[c, axis] += 2.0 * fading * of_other
+        if 0.0 < _between(points, ends) < margin[pair] * scale:
+            a, b, c, d = ends[0], ends[1], ends[2], ends[3]
+            g = walls_of(
+                *(points[a, 0], points[a, 1], points[a, 2]),
+                *(points[b, 0], points[b, 1], points[b, 2]),
+                *(points[c, 0], points[c, 1], points[c, 2]),
+                *(points[d, 0], points[d, 1], points[d, 2]),
+                *(way[a, 0], way[a, 1], way[a, 2]),
+                *(way[b, 0], way[b, 1], way[b, 2]),
+                *(way[c, 0], way[c, 1], way[c, 2]),
+                *(way[d, 0], way[d, 1], way[d, 2]),
+                margin[pair],
+                *p,
+            )
+            for axis in range(3):
+                product[a, axis] += g[axis]
+                product[b, axis] += g[3 + axis]
+                product[c, axis] += g[6 + axis]
+                product[d, axis] += g[9 + axis]
+
+
+@regrouped
+@no_type_check
+def _between(points: np.ndarray, ends: np.ndarray) -> float:
+    """Distance of two edges."""
+    found = closest_of_segments(
+        points[ends[0]], points[ends[1]], points[ends[2]], points[ends[3]]
+    )
+    return math.sqrt(found[3])

@@ -1,27 +1,55 @@
-"""The loop over pairs of `jaxgrow.energy.contact.contact_forces`."""
+"""Loops over pairs of a particle and a triangle, for a law that is printed.
 
-from typing import no_type_check
+The law is of the smooth minimum of distances (`jaxgrow.energy.contact`); here is the
+geometry: distances, their smooth minimum, and how both change with the nodes.
+"""
+
+from typing import Any, no_type_check
 
 import numpy as np
-from numba import cfunc
 
-from jaxgrow.kernels import frames
 from jaxgrow.kernels.closest import LENGTH, measure, OF_B, OF_C
-from jaxgrow.kernels.laws import a2, branches, steepness
 from jaxgrow.kernels.regrouped import regrouped
-from jaxgrow.kernels.smooth_minimum import smooth_minima
+from jaxgrow.kernels.smooth_minimum import smooth_changes, smooth_minima
 
 
 @regrouped
 @no_type_check
-def add_up(
+def _found(
     position: np.ndarray,
-    alive: np.ndarray,
     vertices: np.ndarray,
     particle: np.ndarray,
     corners: np.ndarray,
     real: np.ndarray,
-    law: np.ndarray,
+    scale: float,
+    reach: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Closest points of the pairs, and their distances in contact ranges."""
+    pairs = len(real)
+    while pairs > 0 and not real[pairs - 1]:
+        pairs -= 1
+    found = np.zeros((6, pairs))
+    measure(position, particle[:pairs], vertices, corners[:, :pairs], found)
+    value = np.zeros(pairs)
+    for pair in range(pairs):
+        value[pair] = found[LENGTH, pair] / scale if real[pair] else reach
+    return found, value
+
+
+@regrouped
+@no_type_check
+def add_forces(
+    slope_of: Any,
+    position: np.ndarray,
+    vertices: np.ndarray,
+    alive: np.ndarray,
+    particle: np.ndarray,
+    corners: np.ndarray,
+    real: np.ndarray,
+    scale: float,
+    half: float,
+    reach: float,
+    p: tuple,
     on_particles: np.ndarray,
     on_vertices: np.ndarray,
     of_particles: np.ndarray,
@@ -30,45 +58,38 @@ def add_up(
     """Add the forces of contact, and bound distances of every node to what it may meet.
 
     Args:
+        slope_of: of the energy of a particle: function of its smooth distance and of
+            the parameters.
         position: of the particles, in r0.
-        alive: which of them feel a force.
         vertices: of the membrane.
+        alive: which particles feel a force.
         particle: of each pair, ascending.
         corners: the vertices of its triangle, corner by corner.
         real: which pairs are none of the padding.
-        law: contact range, stiffness, adhesion, smoothing and sharpness, stiffness and
-            range of the barrier, and distance beyond which there is no contact, in
-            contact ranges.
+        scale: contact range, in r0.
+        half: of the sharpness.
+        reach: distance beyond which there is no contact, in contact ranges.
+        p: parameters of the law.
         on_particles: forces in F(0); added to.
         on_vertices: likewise.
         of_particles: distances in r0, the least so far; lowered.
         of_vertices: likewise.
     """
-    scale, stiffness, adhesion = law[0], law[1], law[2]
-    half, barrier, margin, reach = 0.5 * law[4], law[5], law[6], law[7]
-    low, blend, edge, tail = branches(law[3], reach)
-    pairs = len(real)
-    while pairs > 0 and not real[pairs - 1]:
-        pairs -= 1
-    found = np.zeros((6, pairs))
-    measure(position, particle[:pairs], vertices, corners[:, :pairs], found)
-    value, u, slope = np.zeros(pairs), np.zeros(pairs), np.zeros(pairs)
-    for pair in range(pairs):
-        value[pair] = reach
-        if real[pair]:
-            length = found[LENGTH, pair]
-            of_particles[particle[pair]] = min(of_particles[particle[pair]], length)
-            for corner in range(3):
-                node = corners[corner, pair]
-                of_vertices[node] = min(of_vertices[node], length)
-            value[pair] = length / scale
-    smooth_minima(particle[:pairs], value, half, reach, u, slope)
+    found, value = _found(position, vertices, particle, corners, real, scale, reach)
+    pairs = len(value)
+    u, slope, power = np.zeros(pairs), np.zeros(pairs), np.zeros(pairs)
+    smooth_minima(particle[:pairs], value, half, reach, u, slope, power)
     push = 0.0
     for pair in range(pairs):
         i = particle[pair]
+        if real[pair]:
+            length = found[LENGTH, pair]
+            of_particles[i] = min(of_particles[i], length)
+            for corner in range(3):
+                node = corners[corner, pair]
+                of_vertices[node] = min(of_vertices[node], length)
         if pair == 0 or i != particle[pair - 1]:
-            push = stiffness * a2(u[pair], adhesion, low, blend, edge, tail)
-            push += barrier * steepness(u[pair], margin)
+            push = -slope_of(u[pair], *p)[0] / scale
         if slope[pair] > 0.0 and alive[i]:
             size = push * slope[pair] / found[LENGTH, pair]
             v, w = found[OF_B, pair], found[OF_C, pair]
@@ -80,31 +101,164 @@ def add_up(
                 on_vertices[corners[2, pair], axis] -= part * w
 
 
-@cfunc(frames.HANDLER, cache=True)
+@regrouped
 @no_type_check
-def handler(frame: int) -> int:
-    """For XLA: arguments and results as of `add_up`."""
-    if frames.answers_version(frame):
-        return 0
-    count, corners = frames.size(frame, 0, 0), frames.size(frame, 2, 0)
-    pairs = frames.size(frame, 3, 0)
-    on_particles = frames.reals(frames.result(frame, 0), (count, 3))
-    on_vertices = frames.reals(frames.result(frame, 1), (corners, 3))
-    of_particles = frames.reals(frames.result(frame, 2), (count,))
-    of_vertices = frames.reals(frames.result(frame, 3), (corners,))
-    on_particles[:], on_vertices[:] = 0.0, 0.0
-    of_particles[:], of_vertices[:] = np.inf, np.inf
-    add_up(
-        frames.reals(frames.argument(frame, 0), (count, 3)),
-        frames.booleans(frames.argument(frame, 1), (count,)),
-        frames.reals(frames.argument(frame, 2), (corners, 3)),
-        frames.indices(frames.argument(frame, 3), (pairs,)),
-        frames.long_indices(frames.argument(frame, 4), (3, pairs)),
-        frames.booleans(frames.argument(frame, 5), (pairs,)),
-        frames.reals(frames.argument(frame, 6), (8,)),
-        on_particles,
-        on_vertices,
-        of_particles,
-        of_vertices,
+def approach(
+    found: np.ndarray,
+    pair: int,
+    of_point: np.ndarray,
+    i: int,
+    of_vertices: np.ndarray,
+    a: int,
+    b: int,
+    c: int,
+) -> float:
+    """How fast the distance of a pair grows along a displacement."""
+    v, w = found[OF_B, pair], found[OF_C, pair]
+    total = 0.0
+    for axis in range(3):
+        way = of_point[i, axis] - (1.0 - v - w) * of_vertices[a, axis]
+        way -= v * of_vertices[b, axis] + w * of_vertices[c, axis]
+        total += found[axis, pair] * way
+    return total / found[LENGTH, pair]
+
+
+@regrouped
+@no_type_check
+def add_bent(
+    bend: Any,
+    first: float,
+    second: float,
+    found: np.ndarray,
+    pair: int,
+    points: np.ndarray,
+    i: int,
+    vertices: np.ndarray,
+    a: int,
+    b: int,
+    c: int,
+    of_point: np.ndarray,
+    of_vertices: np.ndarray,
+    on_point: np.ndarray,
+    on_vertices: np.ndarray,
+) -> None:
+    """Add `first` of the gradient of a distance, `second` of its Hessian's product.
+
+    Args:
+        bend: product of the Hessian of the distance of a point and a triangle with a
+            displacement: function of twelve coordinates and of twelve displacements.
+        first: factor of the gradient.
+        second: factor of the product.
+        found: closest points.
+        pair: the pair.
+        points: where the point is.
+        i: the point.
+        vertices: where the triangle is.
+        a: its first corner.
+        b: its second.
+        c: its third.
+        of_point: displacement of points.
+        of_vertices: displacement of vertices.
+        on_point: added to.
+        on_vertices: added to.
+    """
+    v, w = found[OF_B, pair], found[OF_C, pair]
+    g = bend(
+        *(points[i, 0], points[i, 1], points[i, 2]),
+        *(vertices[a, 0], vertices[a, 1], vertices[a, 2]),
+        *(vertices[b, 0], vertices[b, 1], vertices[b, 2]),
+        *(vertices[c, 0], vertices[c, 1], vertices[c, 2]),
+        *(of_point[i, 0], of_point[i, 1], of_point[i, 2]),
+        *(of_vertices[a, 0], of_vertices[a, 1], of_vertices[a, 2]),
+        *(of_vertices[b, 0], of_vertices[b, 1], of_vertices[b, 2]),
+        *(of_vertices[c, 0], of_vertices[c, 1], of_vertices[c, 2]),
     )
-    return 0
+    for axis in range(3):
+        part = first * found[axis, pair] / found[LENGTH, pair]
+        on_point[i, axis] += part + second * g[axis]
+        on_vertices[a, axis] += second * g[3 + axis] - part * (1.0 - v - w)
+        on_vertices[b, axis] += second * g[6 + axis] - part * v
+        on_vertices[c, axis] += second * g[9 + axis] - part * w
+
+
+@regrouped
+@no_type_check
+def add_products(
+    slopes_of: Any,
+    bend: Any,
+    position: np.ndarray,
+    vertices: np.ndarray,
+    alive: np.ndarray,
+    particle: np.ndarray,
+    corners: np.ndarray,
+    real: np.ndarray,
+    scale: float,
+    half: float,
+    reach: float,
+    p: tuple,
+    of_particles: np.ndarray,
+    of_vertices: np.ndarray,
+    on_particles: np.ndarray,
+    on_vertices: np.ndarray,
+) -> None:
+    """Add the product of the contact's Hessian with a displacement.
+
+    With the smooth distance u(d) of a particle, and E(u) its energy, the gradient is
+    E' ∂u/∂d ∇d, and its change E'' δu ∂u/∂d ∇d + E' δ(∂u/∂d) ∇d + E' ∂u/∂d ∇∇d v.
+
+    Args:
+        slopes_of: first and second derivative of the energy of a particle.
+        bend: see `add_bent`.
+        position: as for `add_forces`, likewise what follows.
+        vertices: likewise.
+        alive: likewise.
+        particle: likewise.
+        corners: likewise.
+        real: likewise.
+        scale: likewise.
+        half: likewise.
+        reach: likewise.
+        p: likewise.
+        of_particles: displacement of particles.
+        of_vertices: displacement of vertices.
+        on_particles: product; added to.
+        on_vertices: likewise.
+    """
+    found, value = _found(position, vertices, particle, corners, real, scale, reach)
+    pairs = len(value)
+    u, slope, power = np.zeros(pairs), np.zeros(pairs), np.zeros(pairs)
+    smooth_minima(particle[:pairs], value, half, reach, u, slope, power)
+    moved, turned, along = np.zeros(pairs), np.zeros(pairs), np.zeros(pairs)
+    for pair in range(pairs):
+        if slope[pair] > 0.0:
+            a, b, c = corners[0, pair], corners[1, pair], corners[2, pair]
+            i = particle[pair]
+            way = approach(found, pair, of_particles, i, of_vertices, a, b, c)
+            moved[pair] = way / scale
+    smooth_changes(
+        particle[:pairs], value, moved, half, reach, u, slope, power, along, turned
+    )
+    first, second = 0.0, 0.0
+    for pair in range(pairs):
+        i = particle[pair]
+        if pair == 0 or i != particle[pair - 1]:
+            first, second = slopes_of(u[pair], *p)
+        if slope[pair] > 0.0 and alive[i]:
+            change = second * along[pair] * slope[pair] + first * turned[pair]
+            add_bent(
+                bend,
+                change / scale,
+                first * slope[pair] / scale,
+                found,
+                pair,
+                position,
+                i,
+                vertices,
+                corners[0, pair],
+                corners[1, pair],
+                corners[2, pair],
+                of_particles,
+                of_vertices,
+                on_particles,
+                on_vertices,
+            )

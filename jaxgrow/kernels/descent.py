@@ -1,9 +1,9 @@
 """The descent by loops (`jaxgrow.kernels.steps`) as a handler of XLA.
 
-Its arguments are the fields of `Scene`, `Laws`, `Bounds` (in one array), the wide
-`Lists`, the near ones, `Now` and `Memory`, see `jaxgrow.kernels.layout`. From the
-lists on they change: they are the results too, which share their memory. (The wide
-collisions are the host's, and stay as they are.)
+Its arguments are the fields of `Scene`, `Bounds` (in one array), addresses and wiring
+of the terms' roots, their buffers, the wide `Lists`, the near ones, `Now` and `Memory`,
+see `jaxgrow.kernels.layout`. From the lists on they change: they are the results too,
+which share their memory. (The wide collisions are the host's, and stay as they are.)
 """
 
 from typing import no_type_check
@@ -14,7 +14,6 @@ from numba import cfunc, njit
 from jaxgrow.kernels import frames
 from jaxgrow.kernels.layout import (
     Bounds,
-    Laws,
     Lists,
     Memory,
     Now,
@@ -25,17 +24,21 @@ from jaxgrow.kernels.layout import (
 from jaxgrow.kernels.steps import descend
 
 
-WIDE, NEAR, NOW, MEMORY, END = 15, 30, 45, 54, 59
-"""Numbers of the first arguments of a kind, and of all."""
+SCENE, BOUNDS, ADDRESSES, WIRING, BUFFERS = 0, 6, 7, 8, 9
+"""Numbers of the first arguments of a kind."""
+
+WIDE, NEAR, NOW, MEMORY, END = 0, 15, 30, 39, 44
+"""Likewise of the results, and of all of them."""
 
 
 @njit(cache=True)
 @no_type_check
 def _at(frame: int, number: int) -> int:
     """Address of an argument, or of the result that it became."""
-    if number < WIDE:
+    changed = frames.count_arguments(frame) - END
+    if number < changed:
         return frames.argument(frame, number)
-    return frames.result(frame, number - WIDE)
+    return frames.result(frame, number - changed)
 
 
 @njit(cache=True)
@@ -116,47 +119,42 @@ def handler(frame: int) -> int:
     """For XLA: arguments and results as told above."""
     if frames.answers_version(frame):
         return 0
-    frames.keep(frame, WIDE, END - WIDE)
+    changed = frames.count_arguments(frame) - END
+    frames.keep(frame, changed, END)
     scene = Scene(
         _flags(frame, 0),
         _flags(frame, 1),
-        _flags(frame, 2),
-        _table(frame, 3),
-        _flags(frame, 4),
-        _table(frame, 5),
-        _numbers(frame, 6),
-        _flags(frame, 7),
-        _points(frame, 8),
-        _points(frame, 9),
+        _table(frame, 2),
+        _flags(frame, 3),
+        _points(frame, 4),
+        _points(frame, 5),
     )
-    laws = Laws(
-        _numbers(frame, 10),
-        _numbers(frame, 11),
-        _numbers(frame, 12),
-        _numbers(frame, 13),
-    )
-    b = _numbers(frame, 14)
+    b = _numbers(frame, BOUNDS)
     bounds = Bounds(
-        *(b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7]),
-        *(b[8], b[9], b[10], b[11], b[12], b[13], b[14], b[15]),
+        *(b[0], b[1], b[2], b[3], b[4], b[5], b[6], b[7], b[8]),
+        *(b[9], b[10], b[11], b[12], b[13], b[14], b[15], b[16]),
     )
+    at = changed + NOW
     now = Now(
-        _points(frame, NOW),
-        _points(frame, NOW + 1),
-        _points(frame, NOW + 2),
-        _points(frame, NOW + 3),
-        _points(frame, NOW + 4),
-        _points(frame, NOW + 5),
-        _points(frame, NOW + 6),
-        _numbers(frame, NOW + 7),
-        _whole(frame, NOW + 8),
+        _points(frame, at),
+        _points(frame, at + 1),
+        _points(frame, at + 2),
+        _points(frame, at + 3),
+        _points(frame, at + 4),
+        _points(frame, at + 5),
+        _points(frame, at + 6),
+        _numbers(frame, at + 7),
+        _whole(frame, at + 8),
     )
+    at = changed + MEMORY
     memory = Memory(
-        _pairs_of_memory(frame, MEMORY),
-        _pairs_of_memory(frame, MEMORY + 1),
-        _numbers(frame, MEMORY + 2),
-        _whole(frame, MEMORY + 3),
-        _numbers(frame, MEMORY + 4),
+        _pairs_of_memory(frame, at),
+        _pairs_of_memory(frame, at + 1),
+        _numbers(frame, at + 2),
+        _whole(frame, at + 3),
+        _numbers(frame, at + 4),
     )
-    descend(scene, laws, bounds, _lists(frame, WIDE), _lists(frame, NEAR), now, memory)
+    wide, near = _lists(frame, changed + WIDE), _lists(frame, changed + NEAR)
+    roots = _whole(frame, ADDRESSES), _table(frame, WIRING)
+    descend(frame, changed, *roots, scene, bounds, wide, near, now, memory)
     return 0

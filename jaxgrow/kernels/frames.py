@@ -75,6 +75,28 @@ def size(frame_at: int, number: int, axis: int) -> int:
 
 @njit(cache=True)
 @no_type_check
+def rank(frame_at: int, number: int) -> int:
+    """Number of axes of an argument."""
+    buffers = _words(_words(frame_at, 15)[_ARGUMENTS], number + 1)
+    return _words(buffers[number], 6)[_RANK]
+
+
+@njit(cache=True)
+@no_type_check
+def count_arguments(frame_at: int) -> int:
+    """Number of arguments."""
+    return _words(frame_at, 15)[_ARGUMENTS - 2]
+
+
+@njit(cache=True)
+@no_type_check
+def count_results(frame_at: int) -> int:
+    """Number of results."""
+    return _words(frame_at, 15)[_RESULTS - 2]
+
+
+@njit(cache=True)
+@no_type_check
 def _bytes(frame_at: int, number: int) -> int:
     """What an argument takes."""
     buffers = _words(_words(frame_at, 15)[_ARGUMENTS], number + 1)

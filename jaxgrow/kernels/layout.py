@@ -46,33 +46,19 @@ class Scene(NamedTuple):
     """What does not change.
 
     Attributes:
-        alive, tumour: of particles.
+        alive: which particles are none of the padding.
         free: which nodes may move: particles, then vertices.
         faces, face_alive: of the membrane.
-        edges, rest_length, edge_alive: its springs.
         load: on its vertices, or on none.
         still: static vertices that it may collide with.
     """
 
     alive: Array
-    tumour: Array
     free: Array
     faces: Array
     face_alive: Array
-    edges: Array
-    rest_length: Array
-    edge_alive: Array
     load: Array
     still: Array
-
-
-class Laws(NamedTuple):
-    """Numbers of each term, as its loop takes them."""
-
-    pair: Array
-    springs: Array
-    contact: Array
-    collision: Array
 
 
 class Lists(NamedTuple):
@@ -115,6 +101,7 @@ class Bounds(NamedTuple):
         collision_skin, encounter_skin: moves that collisions, and the host's list of
             them, hold for.
         least: distance up to which collisions are listed in any case.
+        collision_range: unit of the collisions' margins.
     """
 
     tolerance: Number
@@ -133,6 +120,7 @@ class Bounds(NamedTuple):
     collision_skin: Number
     encounter_skin: Number
     least: Number
+    collision_range: Number
 
 
 class Now(NamedTuple):

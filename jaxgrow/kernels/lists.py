@@ -19,7 +19,6 @@ from jaxgrow.kernels.layout import (
     FULL_CONTACTS,
     FULL_NEIGHBOURS,
     FULL_WIDE,
-    Laws,
     Lists,
     OLD_COLLISIONS,
     Scene,
@@ -82,7 +81,6 @@ def _keep(place: np.ndarray, use: np.ndarray, reference: np.ndarray) -> None:
 @no_type_check
 def relist(
     scene: Scene,
-    laws: Laws,
     bounds: Bounds,
     wide: Lists,
     listed: Lists,
@@ -93,7 +91,6 @@ def relist(
 
     Args:
         scene: what does not change.
-        laws: numbers of the terms.
         bounds: skins and radii.
         wide: wide lists; written.
         listed: near ones; written.
@@ -107,7 +104,7 @@ def relist(
     if len(listed.contacts.real) > 0:
         _relist_contacts(scene, bounds, wide, listed, particles, points, counts)
     if len(listed.collisions.vertex) > 0:
-        _relist_collisions(laws, bounds, wide, listed, points, counts)
+        _relist_collisions(bounds, wide, listed, points, counts)
 
 
 @njit(cache=True)
@@ -191,7 +188,6 @@ def _relist_contacts(
 @njit(cache=True)
 @no_type_check
 def _relist_collisions(
-    laws: Laws,
     bounds: Bounds,
     wide: Lists,
     listed: Lists,
@@ -207,7 +203,7 @@ def _relist_collisions(
     if first + second <= bounds.collision_skin:
         return
     counts[FOUND] += 1
-    scale, least, skin = laws.collision[0], bounds.least, bounds.collision_skin
+    scale, least, skin = bounds.collision_range, bounds.least, bounds.collision_skin
     room = listed.collisions
     found = find_collisions(wide.collisions, points, scale, least, skin, room)
     _keep(points, everyone, listed.collided)

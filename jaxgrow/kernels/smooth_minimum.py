@@ -59,6 +59,7 @@ def smooth_minima(
     reach: float,
     u: np.ndarray,
     slope: np.ndarray,
+    power: np.ndarray,
 ) -> None:
     """Write the smooth minimum of the values of each owner, and its derivative.
 
@@ -69,6 +70,7 @@ def smooth_minima(
         reach: R of the formula.
         u: the smooth minimum, of the owner of each value; the reach where none counts.
         slope: its derivative in each value, 0 of those that do not count.
+        power: of each value, by the least of its owner, to the exponent -half.
     """
     count = len(value)
     share, far = np.zeros(count), np.zeros(count)
@@ -85,12 +87,12 @@ def smooth_minima(
             u[k], far[k] = unit, beyond
             share[k] = unit / max(value[k], _LEAST) if value[k] < reach else 0.0
         start = stop
-    _raise(share, half, slope)
+    _raise(share, half, power)
     start = 0
     while start < count:
         stop, total = start, 0.0
         while stop < count and owner[stop] == owner[start]:
-            excess = slope[stop] - far[stop]
+            excess = power[stop] - far[stop]
             total += excess * excess if excess > 0.0 else 0.0
             stop += 1
         norm, least = math.sqrt(total), reach
@@ -100,8 +102,67 @@ def smooth_minima(
             least = u[start] * inner ** (-1.0 / half)
             scale = least / inner / norm
         for k in range(start, stop):
-            excess = slope[k] - far[k]
+            excess = power[k] - far[k]
             counts = excess > 0.0 and value[k] > _LEAST
-            slope[k] = scale * excess * slope[k] / value[k] if counts else 0.0
+            slope[k] = scale * excess * power[k] / value[k] if counts else 0.0
             u[k] = least
+        start = stop
+
+
+@regrouped
+@no_type_check
+def smooth_changes(
+    owner: np.ndarray,
+    value: np.ndarray,
+    moved: np.ndarray,
+    half: float,
+    reach: float,
+    u: np.ndarray,
+    slope: np.ndarray,
+    power: np.ndarray,
+    along: np.ndarray,
+    turned: np.ndarray,
+) -> None:
+    """Write how the smooth minimum and its derivative change with the values.
+
+    Args:
+        owner: of each value, ascending.
+        value: as for `smooth_minima`.
+        moved: changes of the values; 0 of those that do not count.
+        half: as for `smooth_minima`, likewise what follows.
+        reach: likewise.
+        u: likewise.
+        slope: likewise.
+        power: likewise.
+        along: change of the minimum, of the owner of each value. Written.
+        turned: change of the derivative in each value. Written.
+    """
+    count = len(value)
+    start = 0
+    while start < count:
+        stop, nearest, size = start, reach, 0.0
+        while stop < count and owner[stop] == owner[start]:
+            nearest = min(nearest, value[stop])
+            along[start] += slope[stop] * moved[stop]
+            stop += 1
+        far = (max(nearest, _LEAST) / reach) ** half if nearest < reach else 1.0
+        total = 0.0
+        for k in range(start, stop):
+            excess = power[k] - far
+            if excess > 0.0:
+                total += excess * excess
+                size -= excess * half * power[k] * moved[k] / value[k]
+        norm = math.sqrt(total)
+        change, inner = 0.0, norm + far
+        if norm > 0.0:
+            size /= norm
+            change = along[start] / u[start] - size / inner - size / norm
+        for k in range(start, stop):
+            along[k] = along[start]
+            turned[k] = 0.0
+            if slope[k] > 0.0:
+                share = moved[k] / value[k]
+                excess = power[k] - far
+                turned[k] = slope[k] * (change - (half + 1.0) * share)
+                turned[k] -= slope[k] / excess * half * power[k] * share
         start = stop

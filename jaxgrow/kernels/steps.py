@@ -11,13 +11,11 @@ from typing import no_type_check
 import numpy as np
 from numba import njit
 
-from jaxgrow.kernels import collision, contact, pair, springs
 from jaxgrow.kernels.layout import (
     AWAY,
     Bounds,
     CODE,
     FULL,
-    Laws,
     Lists,
     Memory,
     Now,
@@ -29,62 +27,13 @@ from jaxgrow.kernels.layout import (
 from jaxgrow.kernels.lbfgs import dot, learn, propose
 from jaxgrow.kernels.lists import relist
 from jaxgrow.kernels.regrouped import regrouped
+from jaxgrow.kernels.tables import make_tables, run
 from jaxgrow.results import Result
 
 
 CONVERGED, STEP_LIMIT = Result.CONVERGED.code, Result.STEP_LIMIT.code
 NON_FINITE, OVERFLOW = Result.NON_FINITE.code, Result.OVERFLOW.code
 ON_MEMBRANE = Result.ON_MEMBRANE.code
-
-
-@njit(cache=True)
-@no_type_check
-def _evaluate(
-    scene: Scene,
-    laws: Laws,
-    listed: Lists,
-    place: np.ndarray,
-    force: np.ndarray,
-    clear: np.ndarray,
-) -> None:
-    """Write forces and clearances."""
-    count, vertices = len(scene.alive), len(scene.free) - len(scene.alive)
-    particles, points = place[:count], place[count:]
-    on_particles, on_points = force[:count], force[count:]
-    force[:], clear[:] = 0.0, np.inf
-    if listed.listed.shape[0] > 0:
-        pair.add_up(particles, scene.tumour, listed.listed, laws.pair, on_particles)
-    if vertices > 0:
-        springs.add_up(
-            points,
-            scene.edges,
-            scene.rest_length,
-            scene.edge_alive,
-            laws.springs[0],
-            laws.springs[1],
-            on_points,
-        )
-    for i in range(len(scene.load)):
-        for axis in range(3):
-            on_points[i, axis] += scene.load[i, axis]
-    if len(listed.contacts.real) > 0:
-        contact.add_up(
-            particles,
-            scene.alive,
-            points,
-            listed.contacts.particle,
-            listed.contacts.corners,
-            listed.contacts.real,
-            laws.contact,
-            on_particles,
-            on_points,
-            clear[:count],
-            clear[count:],
-        )
-    if len(listed.collisions.vertex) > 0:
-        collision.add_up(
-            points, listed.collisions, laws.collision, on_points, clear[count:]
-        )
 
 
 @njit(cache=True)
@@ -140,15 +89,31 @@ def _bound(
 @njit(cache=True)
 @no_type_check
 def descend(
+    frame: int,
+    changed: int,
+    addresses: np.ndarray,
+    wiring: np.ndarray,
     scene: Scene,
-    laws: Laws,
     bounds: Bounds,
     wide: Lists,
     listed: Lists,
     now: Now,
     memory: Memory,
 ) -> None:
-    """Make steps until the end, or until the host must list collisions at the trial."""
+    """Make steps until the end, or until the host must list collisions at the trial.
+
+    Args:
+        frame: address of XLA's call, whose arguments are the buffers of the terms.
+        changed: number of the first argument that became a result.
+        addresses: of the terms' roots (see `jaxgrow.kernels.roots`).
+        wiring: numbers of the arguments that are their buffers.
+        scene: what does not change.
+        bounds: numbers that end the loop, or a list.
+        wide: wide lists; written.
+        listed: near ones; written.
+        now: where the descent stands; written.
+        memory: of L-BFGS; written.
+    """
     count, total = len(scene.alive), len(scene.free)
     place = np.zeros((total + len(scene.still), 3))
     place[:count], place[count:total] = now.trial_particles, now.trial_vertices
@@ -161,18 +126,22 @@ def descend(
         moving -= 1
     free, way = scene.free[:moving], now.step[:moving]
     force, clear = np.zeros(place.shape), np.zeros(len(place))
+    given = changed, count, place, place[:0], force, clear
+    tables = make_tables(frame, wiring, *given)
     before, after = np.zeros(3 * moving), np.zeros(3 * moving)
     force[:count], force[count:total] = now.on_particles, now.on_vertices
     _masked(force, free, before)
     counts, flat = now.counts, now.step.reshape(-1)[: 3 * moving]
     overflown = counts[OVERFLOWN] != 0
     while True:
-        relist(scene, laws, bounds, wide, listed, place, counts)
+        relist(scene, bounds, wide, listed, place, counts)
         if counts[OLD_COLLISIONS]:
             return
         for full in FULL:
             overflown |= counts[full] != 0
-        _evaluate(scene, laws, listed, place, force, clear)
+        force[:], clear[:] = 0.0, np.inf
+        force[count : count + len(scene.load)] = scene.load
+        run(addresses, tables)
         residual = _masked(force, free, after)
         first = counts[STEPS] < 0
         counts[STEPS] += 1

@@ -5,12 +5,11 @@ what happens among a few costs about as much in a crowd of any size. Called by t
 """
 
 import math
-from typing import no_type_check
+from typing import Any, no_type_check
 
 import numpy as np
 from numba import njit
 
-from jaxgrow.kernels.laws import a2, branches
 from jaxgrow.kernels.regrouped import regrouped
 
 
@@ -250,20 +249,21 @@ def _most_around(first: np.ndarray, touched: np.ndarray, steps: np.ndarray) -> i
 @regrouped
 @no_type_check
 def _add_up(
+    slope: Any,
     point: np.ndarray,
     tumour: bool,
     others: np.ndarray,
-    stiffer: np.ndarray,
+    kind: np.ndarray,
     count: int,
-    law: np.ndarray,
+    cutoff: float,
+    p: tuple,
     square: np.ndarray,
     close: np.ndarray,
     force: np.ndarray,
 ) -> None:
     """Write the force on a point by what may be near; as `jaxgrow.kernels.pair`."""
-    adhesion, stiffness, cutoff = law[0], law[2], law[3]
-    low, blend, edge, tail = branches(law[1], cutoff)
     x, y, z = point[0], point[1], point[2]
+    own = float(tumour)
     for k in range(count):
         dx, dy, dz = x - others[0, k], y - others[1, k], z - others[2, k]
         square[k] = dx * dx + dy * dy + dz * dz
@@ -275,24 +275,25 @@ def _add_up(
     for place in range(found):
         k = close[place]
         u = math.sqrt(square[k])
-        ratio = a2(u, adhesion, low, blend, edge, tail) / u
-        ratio *= stiffness if tumour & stiffer[k] else 1.0
-        fx += ratio * (x - others[0, k])
-        fy += ratio * (y - others[1, k])
-        fz += ratio * (z - others[2, k])
+        ratio = slope(u, own, float(kind[k]), *p)[0] / u
+        fx -= ratio * (x - others[0, k])
+        fy -= ratio * (y - others[1, k])
+        fz -= ratio * (z - others[2, k])
     force[0], force[1], force[2] = fx, fy, fz
 
 
-@njit(cache=True)
+@regrouped
 @no_type_check
 def renew(
+    slope: Any,
     position: np.ndarray,
     tumour: np.ndarray,
     alive: np.ndarray,
     before: np.ndarray,
     alive_before: np.ndarray,
     changed: np.ndarray,
-    law: np.ndarray,
+    cutoff: float,
+    p: tuple,
     force: np.ndarray,
 ) -> None:
     """Write the pair forces on all particles near those that changed, old and new.
@@ -300,13 +301,15 @@ def renew(
     Only where one of them is, or was, within the cutoff is a force another one now.
 
     Args:
+        slope: of the energy of a pair, as for `jaxgrow.kernels.pair.add_forces`.
         position: of all particles, in r0.
         tumour: which are of the tumour.
         alive: which are not padding.
         before: where they were when the forces were right.
         alive_before: which were alive then.
         changed: those of which anything is another now.
-        law: as of `jaxgrow.kernels.pair.add_up`.
+        cutoff: distance in r0 beyond which no pair interacts.
+        p: parameters of the law.
         force: in F(0); right for what was before. Written.
     """
     is_here, was_there = changed & alive, changed & alive_before
@@ -320,7 +323,7 @@ def renew(
     _box_of(before, was_there, box)
     if not box[0, 0] <= box[1, 0]:
         return
-    reach = _SLACK * law[3]
+    reach = _SLACK * cutoff
     concerned, wide = box.copy(), box.copy()
     for axis in range(3):
         concerned[0, axis] -= reach
@@ -347,12 +350,14 @@ def renew(
             # farther out not all neighbours are members, and nothing changed
             if _inside(own[place], concerned):
                 _add_up(
+                    slope,
                     own[place],
                     kind[place],
                     others,
                     stiffer,
                     count,
-                    law,
+                    cutoff,
+                    p,
                     square,
                     close,
                     force[order[place]],

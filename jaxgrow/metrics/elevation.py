@@ -4,7 +4,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxgrow.energy.distance import closest_weights, split, split_corners
+from jaxgrow.energy.distance import closest_weights, split_corners
+from jaxgrow.energy.vectors import split
 from jaxgrow.numerics import safe_norm
 from jaxgrow.state import FormerSurface
 

@@ -14,7 +14,8 @@ from jaxgrow.energy.collision import (
     narrow_collisions,
     PARALLEL,
 )
-from jaxgrow.energy.distance import segment_distance, split
+from jaxgrow.energy.distance import segment_distance
+from jaxgrow.energy.vectors import split
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Membrane
 

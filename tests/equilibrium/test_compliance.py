@@ -9,7 +9,7 @@ import pytest
 import jaxgrow as jg
 from jaxgrow.collisions import CollisionFinder
 from jaxgrow.equilibrium.compliance import linear_response
-from jaxgrow.equilibrium.problem import Lists
+from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.relax import relax
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result

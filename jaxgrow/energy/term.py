@@ -1,0 +1,174 @@
+r"""Energy terms: the energy of one element, and which elements a scene has.
+
+A term is written once, as a function of the coordinates of *one* element (an edge, a
+hinge, a triangle, a particle, ...), of its rest data and of its parameters. The energy
+is the sum over all elements; forces and Hessian products are derivatives that JAX
+takes,
+
+.. math::
+    E = \sum_e W(x_e, q_e, p), \quad F = -\nabla E, \quad
+    H v = \left.\frac{d}{d\epsilon}\right|_0 \nabla E(x + \epsilon v),
+
+by `jax.vmap` over the elements where XLA evaluates them, and by loops that are printed
+from the same function (`jaxgrow.kernels.elements`) on a processor.
+
+Nodes are numbered through: first the particles' slots, then the membrane's vertices.
+"""
+
+from abc import abstractmethod
+from types import SimpleNamespace
+from typing import Any, ClassVar, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxgrow.parameters import Parameters
+from jaxgrow.state import Membrane, Particles
+from jaxgrow.types import Columns
+
+
+class Elements(NamedTuple):
+    """The elements that a term has in a scene.
+
+    Attributes:
+        nodes: the nodes of each.
+        rest: data of each, as of when it was at rest.
+        alive: False for padding.
+    """
+
+    nodes: Int[Array, "e k"]
+    rest: Float[Array, "e q"]
+    alive: Bool[Array, " e"]
+
+
+class Term(eqx.Module):
+    """An energy that is a sum over elements; subclass it to add one.
+
+    Fields of a subclass are parameters of its own, which may be differentiated.
+
+    Class attributes:
+        name: of the term, for reports and errors.
+        size: nodes of one element.
+        parameters: the fields of `jaxgrow.Parameters` that `energy` uses.
+    """
+
+    name: ClassVar[str]
+    size: ClassVar[int]
+    parameters: ClassVar[tuple[str, ...]] = ()
+
+    @abstractmethod
+    def energy(self, x: tuple[Columns, ...], rest: Columns, p: Any) -> Array:
+        """Return the energy of one element, in F(0) r0.
+
+        Args:
+            x: for each node its three coordinates, in r0 (see
+                `jaxgrow.energy.vectors`).
+            rest: data of the element.
+            p: has the `parameters` by name.
+        """
+
+    @abstractmethod
+    def elements(
+        self, particles: Particles | None, membrane: Membrane | None
+    ) -> Elements | None:
+        """Return the elements of a scene; None if it has none.
+
+        Args:
+            particles: or None for a membrane alone.
+            membrane: or None for particles alone.
+        """
+
+
+class MembraneTerm(Term):
+    """A term of the membrane's elasticity, whose rest data are reset with its springs.
+
+    Class attributes:
+        modulus: the parameter that is a factor of the energy; where it is 0 the term
+            is left out.
+        per: whether an element is of an edge or of a face of the membrane.
+        edges: how many edges two nodes of an element are apart at most.
+    """
+
+    modulus: ClassVar[str]
+    per: ClassVar[Literal["edge", "face"]]
+    edges: ClassVar[int] = 1
+
+    @abstractmethod
+    def rest(self, x: tuple[Columns, ...]) -> Columns:
+        """Return the rest data of one element that is at rest where its nodes are.
+
+        Args:
+            x: for each node its three coordinates, in r0.
+        """
+
+    @abstractmethod
+    def stencil(
+        self, membrane: Membrane
+    ) -> tuple[Int[Array, "e k"], Bool[Array, " e"]]:
+        """Return the vertices of each element, and False for padding.
+
+        There is one for every slot of an edge, or of a face, see `per`.
+        """
+
+    def elements(
+        self, particles: Particles | None, membrane: Membrane | None
+    ) -> Elements | None:
+        """Return the elements of the membrane."""
+        if membrane is None:
+            return None
+        first = 0 if particles is None else particles.position.shape[0]
+        vertices, alive = self.stencil(membrane)
+        return Elements(vertices.astype(int) + first, membrane.rest[self.name], alive)
+
+    def at_rest(self, membrane: Membrane) -> Float[Array, "e q"]:
+        """Return the rest data of all elements where the vertices are; 0 for padding."""
+        vertices, alive = self.stencil(membrane)
+        x = _gathered(membrane.vertices, vertices, alive)
+        rest = jnp.stack(jax.vmap(self.rest)(x), axis=1)
+        return jnp.where(alive[:, None], rest, 0)
+
+
+def values_of(term: Any, parameters: Parameters) -> SimpleNamespace:
+    """Return the parameters that a term uses, by name."""
+    return SimpleNamespace(**{n: getattr(parameters, n) for n in term.parameters})
+
+
+def energy_of_elements(
+    term: Term,
+    nodes: Float[Array, "n 3"],
+    elements: Elements,
+    parameters: Parameters,
+) -> Float[Array, ""]:
+    """Return the sum of the energy over all elements, in F(0) r0.
+
+    Args:
+        term: whose elements they are.
+        nodes: particles, then vertices, in r0.
+        elements: of the scene.
+        parameters: of all terms.
+    """
+    x = _gathered(nodes, elements.nodes, elements.alive)
+    p = values_of(term, parameters)
+    rest = tuple(jnp.where(elements.alive, q, 1) for q in elements.rest.T)
+    each = jax.vmap(lambda at, q: term.energy(at, q, p))(x, rest)
+    return jnp.sum(jnp.where(elements.alive, each, 0))
+
+
+def _gathered(
+    nodes: Float[Array, "n 3"], index: Int[Array, "e k"], alive: Bool[Array, " e"]
+) -> tuple[Columns, ...]:
+    """Coordinates of the nodes of each element; of padding, of a regular one.
+
+    Derivatives of padding would be NaN where its garbage is degenerate, and NaN times 0
+    is NaN.
+    """
+    corners = tuple(nodes[index[:, k]] for k in range(index.shape[1]))
+    regular = [
+        [float(k % 2), float(k // 2 % 2), 0.25 * k * k] for k in range(index.shape[1])
+    ]
+    return tuple(
+        tuple(jnp.where(alive, corner[:, axis], regular[k][axis]) for axis in range(3))
+        for k, corner in enumerate(corners)
+    )

@@ -1,0 +1,295 @@
+"""The terms of a problem by loops: which there are, their addresses and buffers.
+
+Addresses are those of this process. They are arguments of a compiled program, never
+constants of it, as programs are kept on disk.
+"""
+
+import functools
+import warnings
+from collections.abc import Sequence
+from types import ModuleType
+from typing import Any, NamedTuple, TYPE_CHECKING
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxgrow.energy.a2 import CUTOFF
+from jaxgrow.energy.collision import COLLISION
+from jaxgrow.energy.contact import CONTACT
+from jaxgrow.energy.pair import PAIRS
+from jaxgrow.energy.term import MembraneTerm, Term
+from jaxgrow.equilibrium.roots import (
+    collision_root,
+    contact_root,
+    element_root,
+    Kind,
+    pair_root,
+)
+from jaxgrow.kernels.ffi import registered, target
+from jaxgrow.kernels.printer import UnprintableError
+from jaxgrow.kernels.roots import load
+from jaxgrow.state import Nodes, Species
+from jaxgrow.transfer import put
+
+
+if TYPE_CHECKING:
+    from jaxgrow.equilibrium.lists import Lists
+    from jaxgrow.equilibrium.problem import Problem
+
+
+AWAY = 1e9
+"""Coordinate, in r0, at which loops find dead particles."""
+
+
+class Loops(eqx.Module):
+    """Compiled loops of the terms of a problem.
+
+    Attributes:
+        names: of the terms, in their order.
+        force: addresses of the loops of forces.
+        product: of those of Hessian products; None until they are asked for.
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    force: Int[Array, " t"]
+    product: Int[Array, " t"] | None
+
+
+class Wired(NamedTuple):
+    """A term as its root takes it: its name, and its buffers in their order."""
+
+    name: str
+    buffers: tuple[Array, ...]
+
+
+class PrintingWarning(UserWarning):
+    """A term that cannot be printed as a loop, so that XLA evaluates it."""
+
+
+def wired(problem: "Problem", lists: "Lists") -> list[Wired]:
+    """The terms that a problem has with these lists, in the order of their roots."""
+    terms: list[Wired] = []
+    particles, membrane = problem.particles, problem.membrane
+    if lists.neighbors is not None and particles is not None:
+        tumour = particles.species == Species.TUMOUR
+        numbers = _numbers(problem, PAIRS, CUTOFF)
+        terms.append(Wired("pair", (tumour, lists.neighbors.listed, numbers)))
+    for term in problem.terms:
+        elements = term.elements(particles, membrane)
+        if elements is not None:
+            index, rest = elements.nodes.astype(int), elements.rest
+            numbers = _numbers(problem, term)
+            terms.append(Wired(term.name, (index, rest, elements.alive, numbers)))
+    parameters = problem.parameters
+    if lists.contacts is not None and particles is not None:
+        c, half = lists.contacts, 0.5 * parameters.contact_sharpness
+        numbers = _numbers(problem, CONTACT, parameters.contact_range, half, CUTOFF)
+        own = particles.alive, c.particle, c.corners, c.real, numbers
+        terms.append(Wired("contact", own))
+    if lists.collisions is not None:
+        c, half = lists.collisions, 0.5 * parameters.contact_sharpness
+        numbers = _numbers(problem, COLLISION, parameters.collision_range, half)
+        own = c.vertex, c.corners, c.apart, c.vertex_margin, c.edges, c.edge_margin
+        terms.append(Wired("collision", (*own, numbers)))
+    return terms
+
+
+def _numbers(problem: "Problem", term: Any, *first: Any) -> Float[Array, " p"]:
+    """Numbers of the geometry, then parameters of the term, then its own."""
+    by_name = [getattr(problem.parameters, name) for name in term.parameters]
+    numbers = [*first, *by_name, *jax.tree.leaves(term)]
+    return jnp.stack([jnp.asarray(number, problem.dtype) for number in numbers])
+
+
+class _Key(NamedTuple):
+    """What a root depends on: a term, and how many rest data its elements have."""
+
+    term: Any
+    rest: int
+
+    @property
+    def name(self) -> str:
+        return self.term.name
+
+
+def _keys(problem: "Problem", lists: "Lists") -> tuple[_Key, ...]:
+    """The terms of `wired`, without evaluating anything."""
+    particles, membrane = problem.particles, problem.membrane
+    keys = []
+    if lists.neighbors is not None and particles is not None:
+        keys.append(_Key(PAIRS, 0))
+    for term in problem.terms:
+        if isinstance(term, MembraneTerm):
+            if membrane is not None:
+                keys.append(_Key(_shape_of(term), membrane.rest[term.name].shape[1]))
+            continue
+        elements = eqx.filter_eval_shape(term.elements, particles, membrane)
+        if elements is not None:
+            keys.append(_Key(_shape_of(term), elements.rest.shape[1]))
+    if lists.contacts is not None and particles is not None:
+        keys.append(_Key(CONTACT, 0))
+    if lists.collisions is not None:
+        keys.append(_Key(COLLISION, 0))
+    return tuple(keys)
+
+
+def _shape_of(term: Term) -> Term:
+    """The term with 0 for its own parameters, which are arguments of its root."""
+    return jax.tree.map(lambda _: 0.0, term)
+
+
+_MAKERS = {PAIRS: pair_root, CONTACT: contact_root, COLLISION: collision_root}
+
+
+@functools.cache
+def root_module(key: _Key, kind: Kind) -> ModuleType | None:
+    """The compiled root of a term; None, with a warning, if it cannot be printed."""
+    term = key.term
+    make = _MAKERS.get(term) or functools.partial(element_root, term, key.rest)
+    of_package = type(term).__module__.startswith("jaxgrow.")
+    try:
+        return load(f"{key.name}_{kind}", lambda: make(kind), of_package=of_package)
+    except UnprintableError as error:
+        warnings.warn(
+            f"the energy term {key.name!r} uses {error}, which cannot be printed as a "
+            "loop, so XLA evaluates it and relaxations take several times as long; "
+            "write it with arithmetic of scalars (see jaxgrow.energy.vectors).",
+            PrintingWarning,
+            stacklevel=2,
+        )
+        return None
+
+
+def pair_module() -> ModuleType | None:
+    """The compiled root of pairs of particles, where loops can be used."""
+    return root_module(_Key(PAIRS, 0), "force") if registered("terms") else None
+
+
+@functools.lru_cache(maxsize=64)
+def _loops(keys: tuple[_Key, ...], products: bool) -> Loops:
+    found = [key for key in keys if root_module(key, "force") is not None]
+    if products:
+        found = [key for key in found if root_module(key, "product") is not None]
+
+    def addresses(kind: Kind) -> Array:
+        roots = (root_module(key, kind) for key in found)
+        return put(np.array([r.root.address for r in roots if r], np.int64))
+
+    return Loops(
+        tuple(key.name for key in found),
+        addresses("force"),
+        addresses("product") if products else None,
+    )
+
+
+def may_loop(problem: "Problem") -> bool:
+    """Whether loops can be used for a problem: on a processor, in 64 bits."""
+    if not (problem.dtype == jnp.float64 and registered("terms")):
+        return False
+    nodes = problem.particles or problem.membrane
+    rows = jax.tree.leaves(nodes)[0]
+    if isinstance(rows, Tracer):
+        return False
+    return all(device.platform == "cpu" for device in rows.devices())
+
+
+def with_loops(
+    problem: "Problem", lists: "Lists", *, products: bool = False
+) -> "Problem":
+    """Return the problem with the loops of its terms, where loops can be used.
+
+    Args:
+        problem: on the host.
+        lists: of it.
+        products: whether those of Hessian products are needed too.
+    """
+    loops = _loops(_keys(problem, lists), products) if may_loop(problem) else None
+    return problem.with_loops(loops)
+
+
+def all_loop(problem: "Problem", lists: "Lists") -> bool:
+    """Whether every term of a problem has a loop, so that a descent can be one."""
+    loops = problem.loops
+    if loops is None or problem.functions:
+        return False
+    return loops.names == tuple(key.name for key in _keys(problem, lists))
+
+
+def evaluate(
+    problem: "Problem", nodes: Nodes, lists: "Lists", along: Nodes | None = None
+) -> tuple[Nodes, Nodes]:
+    """Evaluate the terms that have loops.
+
+    Args:
+        problem: with loops.
+        nodes: where it is.
+        lists: valid there.
+        along: a displacement; None for forces.
+
+    Returns:
+        Forces in F(0), or the Hessian's product with the displacement, and distances,
+        in r0, to what each node must not cross (infinite where nothing is near; only
+        with forces).
+    """
+    loops, at = problem.loops, problem.at(nodes)
+    assert loops is not None
+    addresses = loops.force if along is None else loops.product
+    assert addresses is not None
+    alive, place = placed(at, lists)
+    moved = jnp.zeros((0, 3), problem.dtype)
+    if along is not None:
+        rows = jnp.concatenate(jax.tree.leaves(along))
+        moved = jnp.pad(rows, ((0, place.shape[0] - rows.shape[0]), (0, 0)))
+    terms = [term for term in wired(at, lists) if term.name in loops.names]
+    buffers = [buffer for term in terms for buffer in term.buffers]
+    call = jax.ffi.ffi_call(
+        target("terms"),
+        (
+            jax.ShapeDtypeStruct(place.shape, place.dtype),
+            jax.ShapeDtypeStruct(place.shape[:1], place.dtype),
+        ),
+    )
+    number = iter(range(5, 5 + len(buffers)))
+    wiring = make_wiring([[next(number) for _ in term.buffers] for term in terms])
+    given = addresses, jnp.asarray(wiring), alive, place, moved
+    out, clear = call(*given, *buffers)
+    return _split(problem, out), _split(problem, clear)
+
+
+def placed(
+    problem: "Problem", lists: "Lists"
+) -> tuple[Bool[Array, " n"], Float[Array, "q 3"]]:
+    """Which particles are alive, and all nodes: dead ones away, static ones behind."""
+    rows, alive = [], jnp.zeros(0, bool)
+    if problem.particles is not None:
+        alive = problem.particles.alive
+        rows.append(jnp.where(alive[:, None], problem.particles.position, AWAY))
+    if problem.membrane is not None:
+        rows.append(problem.membrane.vertices)
+    if lists.collisions is not None:
+        rows.append(lists.collisions.still)
+    return alive, jnp.concatenate(rows)
+
+
+def _split(problem: "Problem", rows: Float[Array, "q *_"]) -> Nodes:
+    """What belongs to particles, and to vertices."""
+    particles, membrane, count = problem.particles, problem.membrane, 0
+    if particles is not None:
+        count = particles.position.shape[0]
+    return Nodes(
+        None if particles is None else rows[:count],
+        None if membrane is None else rows[count : count + membrane.vertices.shape[0]],
+    )
+
+
+def make_wiring(buffers: Sequence[Sequence[int]]) -> Int[np.ndarray, "t b"]:
+    """Return the numbers of the arguments that are buffers of each term, then -1."""
+    most = max(map(len, buffers), default=0)
+    wiring = np.full((len(buffers), most), -1, np.int64)
+    for row, numbers in zip(wiring, buffers, strict=True):
+        row[: len(numbers)] = numbers
+    return wiring

@@ -1,0 +1,240 @@
+"""The roots of all terms: which energies their loops are printed from.
+
+Of each term there is one for its forces and one for its Hessian's product with a
+displacement. See `jaxgrow.kernels.roots` for what a root is.
+"""
+
+from collections.abc import Callable, Sequence
+from types import SimpleNamespace
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxgrow.energy.collision import COLLISION
+from jaxgrow.energy.contact import CONTACT
+from jaxgrow.energy.distance import segment_distance, triangle_distance
+from jaxgrow.energy.pair import PAIRS
+from jaxgrow.energy.term import Term
+from jaxgrow.kernels.roots import Buffer, Printed, Root
+
+
+Kind = Literal["force", "product"]
+
+_NUMBERS = Buffer("numbers", "reals")
+
+
+def _names(prefix: str, count: int) -> tuple[str, ...]:
+    return tuple(f"{prefix}{number}" for number in range(count))
+
+
+def _tuple(first: int, count: int) -> str:
+    """Source of the tuple of so many numbers of the buffer."""
+    entries = "".join(f"numbers[{first + k}], " for k in range(count))
+    return f"({entries})"
+
+
+def _law(
+    name: str,
+    energy: Callable[..., Array],
+    inputs: Sequence[str],
+    given: Any,
+    kind: Kind,
+) -> Printed:
+    """First derivative of an energy in its first input, and the second for products."""
+    arguments = (*inputs, *(f"p_{n}" for n in given.parameters))
+
+    def derivatives(*numbers: Array) -> tuple[Array, ...]:
+        own, rest = numbers[: len(inputs)], numbers[len(inputs) :]
+        p = SimpleNamespace(**dict(zip(given.parameters, rest, strict=True)))
+
+        def slope(first: Array) -> Array:
+            return jax.grad(lambda u: energy(u, *own[1:], p))(first)
+
+        if kind == "force":
+            return (slope(own[0]),)
+        return jax.jvp(slope, (own[0],), (jnp.ones_like(own[0]),))
+
+    return Printed(name, derivatives, arguments)
+
+
+def _in_nodes(
+    name: str,
+    energy: Callable[..., Array],
+    size: int,
+    rest: Sequence[str],
+    parameters: Sequence[str],
+    kind: Kind,
+) -> Printed:
+    """Gradient of an element's energy in its nodes, or its derivative along a way.
+
+    Args:
+        name: of the printed function.
+        energy: of tuples of coordinates, rest data, and parameters by order.
+        size: number of nodes.
+        rest: names of the rest data.
+        parameters: names of the parameters.
+        kind: "force" for the gradient.
+    """
+    here, way = _names("x", 3 * size), _names("v", 3 * size)
+    arguments = (*here, *(way if kind == "product" else ()), *rest, *parameters)
+
+    def derivatives(*numbers: Array) -> tuple[Array, ...]:
+        behind = len(arguments) - len(rest) - len(parameters)
+        data = numbers[behind : behind + len(rest)]
+        p = numbers[behind + len(rest) :]
+
+        def gradient(*x: Array) -> tuple[Array, ...]:
+            def of_element(*at: Array) -> Array:
+                nodes = tuple(tuple(at[3 * k : 3 * k + 3]) for k in range(size))
+                return energy(nodes, data, p)
+
+            return jax.grad(of_element, argnums=tuple(range(3 * size)))(*x)
+
+        x = numbers[: 3 * size]
+        if kind == "force":
+            return gradient(*x)
+        return jax.jvp(gradient, x, numbers[3 * size : 6 * size])[1]
+
+    return Printed(name, derivatives, arguments)
+
+
+_BEND = _in_nodes("bend", lambda x, _, __: triangle_distance(*x), 4, (), (), "product")
+
+
+def pair_root(kind: Kind) -> Root:
+    """Root of `jaxgrow.energy.pair`; the first number is the cut-off."""
+    law = _law("law", PAIRS.energy, ("u", "one", "other"), PAIRS, kind)
+    given = (
+        f"nodes[:count], tumour, listed, numbers[0], {_tuple(1, len(PAIRS.parameters))}"
+    )
+    call = f"pair.add_forces(law, {given}, out[:count])"
+    loops = ""
+    if kind == "product":
+        call = f"pair.add_products(law, {given}, along[:count], out[:count])"
+    else:
+        loops = _RENEW.format(p=_tuple(1, len(PAIRS.parameters)))
+    buffers = (Buffer("tumour", "flags"), Buffer("listed", "short", 2), _NUMBERS)
+    return Root(f"pair_{kind}", (law,), loops, buffers, (call,))
+
+
+_RENEW = """
+@njit(cache=True)
+def renew(position, tumour, alive, before, alive_before, changed, numbers, force):
+    vicinity.renew(
+        law, position, tumour, alive, before, alive_before, changed, numbers[0], {p}, force
+    )
+"""
+
+
+def contact_root(kind: Kind) -> Root:
+    """Root of `jaxgrow.energy.contact`; numbers: range, half sharpness, reach, law."""
+    law = _law("law", CONTACT.energy, ("u",), CONTACT, kind)
+    given = (
+        "nodes[:count], nodes[count:], alive, particle, corners, real, "
+        f"numbers[0], numbers[1], numbers[2], {_tuple(3, len(CONTACT.parameters))}"
+    )
+    functions: tuple[Printed, ...] = (law,)
+    results = "out[:count], out[count:], clear[:count], clear[count:]"
+    call = f"contact.add_forces(law, {given}, {results})"
+    if kind == "product":
+        functions = (law, _BEND)
+        results = "along[:count], along[count:], out[:count], out[count:]"
+        call = f"contact.add_products(law, bend, {given}, {results})"
+    buffers = (
+        Buffer("alive", "flags"),
+        Buffer("particle", "short"),
+        Buffer("corners", "long", 2),
+        Buffer("real", "flags"),
+        _NUMBERS,
+    )
+    return Root(f"contact_{kind}", functions, "", buffers, (call,))
+
+
+def collision_root(kind: Kind) -> Root:
+    """Root of `jaxgrow.energy.collision`; numbers: range, half sharpness, laws."""
+    names = COLLISION.parameters
+
+    def of_edges(x: Any, rest: Any, p: Any) -> Array:
+        by_name = SimpleNamespace(**dict(zip(names, p, strict=True)))
+        return COLLISION.wall_of_edges(x, segment_distance(*x), rest[0], by_name)
+
+    functions = (
+        _law("law", COLLISION.energy, ("u",), COLLISION, kind),
+        _law("wall", COLLISION.wall, ("distance", "margin"), COLLISION, kind),
+        _in_nodes(
+            "wall_of_edges", of_edges, 4, ("margin",), [f"p_{n}" for n in names], kind
+        ),
+        *((_BEND,) if kind == "product" else ()),
+    )
+    p = _tuple(2, len(names))
+    vertices = "points, vertex, corners, apart, margin, numbers[0], numbers[1]"
+    edges = "points, edges, edge_margin, numbers[0]"
+    results = "out[count:], clear[count:]"
+    add, more = "forces", ""
+    if kind == "product":
+        add, more, results = "products", "bend, ", "along[count:], out[count:]"
+    statements = (
+        "points = nodes[count:]",
+        f"collision.add_{add}(law, wall, {more}{vertices}, {p}, {results})",
+        f"collision.add_{add}_of_edges(wall_of_edges, {edges}, {p}, {results})",
+    )
+    buffers = (
+        Buffer("vertex", "long"),
+        Buffer("corners", "long", 2),
+        Buffer("apart", "flags"),
+        Buffer("margin", "reals"),
+        Buffer("edges", "long", 2),
+        Buffer("edge_margin", "reals"),
+        _NUMBERS,
+    )
+    return Root(f"collision_{kind}", functions, "", buffers, statements)
+
+
+def element_root(term: Term, rest: int, kind: Kind) -> Root:
+    """Root of a term whose energy is a sum over elements.
+
+    Args:
+        term: the term.
+        rest: how many rest data an element has.
+        kind: "force" or "product".
+    """
+    names, leaves = term.parameters, jax.tree.leaves(term)
+    structure = jax.tree.structure(term)
+
+    def energy(x: Any, data: Any, p: Sequence[Array]) -> Array:
+        own = jax.tree.unflatten(structure, p[len(names) :])
+        by_name = SimpleNamespace(**dict(zip(names, p, strict=False)))
+        return own.energy(x, data, by_name)
+
+    data, count = _names("q", rest), len(names) + len(leaves)
+    own = _in_nodes("element", energy, term.size, data, _names("p", count), kind)
+    corners = [f"a{k}" for k in range(term.size)]
+    here = [f"nodes[{a}, {axis}]" for a in corners for axis in range(3)]
+    way = [f"along[{a}, {axis}]" for a in corners for axis in range(3)]
+    given = [*here, *(way if kind == "product" else [])]
+    given += [f"rest[e, {k}]" for k in range(rest)]
+    given += [f"p[{k}]" for k in range(count)]
+    sign = "-" if kind == "force" else "+"
+    lines = [
+        *("@regrouped", "def add(nodes, along, stencil, rest, alive, p, out):"),
+        "    for e in range(len(alive)):",
+        "        if alive[e]:",
+        *(f"            {a} = stencil[e, {k}]" for k, a in enumerate(corners)),
+        f"            g = element({', '.join(given)})",
+        *(
+            f"            out[{a}, {axis}] {sign}= g[{3 * k + axis}]"
+            for k, a in enumerate(corners)
+            for axis in range(3)
+        ),
+        "",
+    ]
+    call = f"add(nodes, along, stencil, rest, alive, {_tuple(0, count)}, out)"
+    buffers = (
+        Buffer("stencil", "long", 2),
+        Buffer("rest", "reals", 2),
+        Buffer("alive", "flags"),
+        _NUMBERS,
+    )
+    return Root(f"{term.name}_{kind}", (own,), "\n".join(lines), buffers, (call,))

@@ -1,0 +1,252 @@
+"""Loops that are printed: from a term's energy to the address of a compiled function.
+
+A *root* is what one term does at every evaluation: it adds its forces, or its Hessian's
+product with a displacement. Its source is printed into a file of the cache folder, and
+compiled there by numba, which keeps what it compiled beside it. A root is called by
+its address, so that it is never optimised together with a caller: its bits depend on
+nothing else.
+
+A root is given the address of a table of whole numbers: for each of its buffers the
+address and two lengths, then for each working array likewise.
+"""
+
+import functools
+import hashlib
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from jaxgrow.kernels.printer import print_function
+
+
+@dataclass(frozen=True)
+class Buffer:
+    """An array that a root reads.
+
+    Attributes:
+        name: in the root's statements.
+        kind: of its entries: "reals", "flags", "short" or "long" whole numbers.
+        rank: 1 or 2.
+    """
+
+    name: str
+    kind: str
+    rank: int = 1
+
+
+@dataclass(frozen=True)
+class Printed:
+    """A function of numbers that is printed.
+
+    Attributes:
+        name: in the root's statements.
+        function: of scalars; returns a sequence of scalars.
+        arguments: their names.
+    """
+
+    name: str
+    function: Callable[..., Sequence[Any]]
+    arguments: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Root:
+    """A loop that is printed.
+
+    Attributes:
+        name: of its file.
+        functions: that are printed from JAX functions.
+        loops: source of more functions, which call those.
+        buffers: that it reads.
+        statements: its body: they know the buffers by name, `nodes` (particles, then
+            vertices, then static ones), `count` particles, the displacement `along`,
+            `out` that is added to, and the distances `clear` that are lowered.
+    """
+
+    name: str
+    functions: tuple[Printed, ...]
+    loops: str
+    buffers: tuple[Buffer, ...]
+    statements: tuple[str, ...]
+
+
+_READERS = {
+    "reals": "reals",
+    "flags": "booleans",
+    "short": "indices",
+    "long": "long_indices",
+}
+
+_HEAD = '''"""Printed by jaxgrow from the energy of one element; changes are lost."""
+
+import math
+
+import numpy as np
+from numba import cfunc, njit, types
+
+from jaxgrow.kernels import collision, contact, pair, vicinity
+from jaxgrow.kernels.frames import booleans, indices, long_indices, reals
+from jaxgrow.kernels.regrouped import regrouped
+
+'''
+
+
+def source_of(root: Root) -> str:
+    """The source of a root's module.
+
+    Raises:
+        UnprintableError: a function uses something that the printer does not know.
+    """
+    printed = (print_function(f.name, f.function, f.arguments) for f in root.functions)
+    return "\n".join(
+        [
+            _HEAD,
+            *(f"\n@regrouped\n{text}\n" for text in printed),
+            root.loops,
+            _main(root),
+        ]
+    )
+
+
+def _main(root: Root) -> str:
+    lines = ["", "@cfunc(types.void(types.intp), cache=True)", "def root(table_at):"]
+    words = 3 * len(root.buffers)
+    lines += [f"    table = long_indices(table_at, ({words + 6},))"]
+    for number, buffer in enumerate(root.buffers):
+        at = 3 * number
+        shape = ", ".join(f"table[{at + 1 + axis}]" for axis in range(buffer.rank))
+        reader = _READERS[buffer.kind]
+        lines.append(f"    {buffer.name} = {reader}(table[{at}], ({shape},))")
+    lines += [
+        f"    total, count = table[{words}], table[{words + 1}]",
+        f"    nodes = reals(table[{words + 2}], (total, 3))",
+        f"    along = reals(table[{words + 3}], (total, 3))",
+        f"    out = reals(table[{words + 4}], (total, 3))",
+        f"    clear = reals(table[{words + 5}], (total,))",
+        *(f"    {statement}" for statement in root.statements),
+        "",
+    ]
+    return "\n".join(lines)
+
+
+@functools.cache
+def cache_folder() -> Path:
+    """Folder of printed loops; one that is deleted at the end where none is writable."""
+    choice = os.environ.get("JAXGROW_LOOPS_CACHE")
+    home = os.environ.get("XDG_CACHE_HOME")
+    try:
+        folder = (
+            Path(choice)
+            if choice
+            else (Path(home) if home else Path.home() / ".cache") / "jaxgrow/loops"
+        )
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return folder
+    except (OSError, RuntimeError):
+        temporary = tempfile.TemporaryDirectory(prefix="jaxgrow-loops-")
+        _kept.append(temporary)
+        return Path(temporary.name)
+
+
+_kept: list[Any] = []
+"""What must live as long as the process."""
+
+
+_LOOPS = (
+    *("closest", "collision", "contact", "frames", "layout", "pair", "regrouped"),
+    *("smooth_minimum", "vicinity"),
+)
+"""Modules of loops that roots are made of."""
+
+
+@functools.cache
+def _digest_of_loops() -> str:
+    return _digest(Path(__file__).parent / f"{name}.py" for name in _LOOPS)
+
+
+@functools.cache
+def _digest_of_energies() -> str:
+    """Of all that decides what the functions of this package are printed as."""
+    from jax import __version__
+
+    package = Path(__file__).parent.parent
+    own = (package / name for name in ("numerics.py", "equilibrium/roots.py"))
+    printing = (package / f"kernels/{name}.py" for name in ("printer", "roots"))
+    energies = sorted((package / "energy").glob("*.py"))
+    return _digest([*own, *printing, *energies]) + __version__
+
+
+def _digest(paths: Iterable[Path]) -> str:
+    content = hashlib.sha256()
+    for path in paths:
+        content.update(path.name.encode() + b"\0" + path.read_bytes())
+    return content.hexdigest()[:16]
+
+
+def load(name: str, make: Callable[[], Root], *, of_package: bool) -> ModuleType:
+    """The compiled module of a root, printed if it is not in the cache folder.
+
+    Its file is named by what is printed, and by the loops that it calls. What a root of
+    this package is printed as is noted by the sources that it is printed from, so that
+    it is found again without being traced.
+
+    Args:
+        name: of the root.
+        make: makes the root.
+        of_package: whether it depends on the sources of this package alone.
+
+    Raises:
+        UnprintableError: a function uses something that the printer does not know.
+    """
+    folder = cache_folder()
+    note = folder / f"{name}_{_short(name + _digest_of_energies())}.key"
+    if of_package and note.exists():
+        module = note.read_text(encoding="utf-8")
+        if _digest_of_loops() in module and (folder / module).exists():
+            return _imported(folder / module)
+    source = source_of(make())
+    digest = _short(source)
+    path = folder / f"jaxgrow_{name}_{digest}_{_digest_of_loops()}.py"
+    if not path.exists():
+        _write(path, source)
+    if of_package:
+        _write(note, path.name)
+    return _imported(path)
+
+
+def _short(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _imported(path: Path) -> ModuleType:
+    """The module of a file; the same one whoever asks."""
+    name = path.stem
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    loaded = module_from_spec(spec)
+    sys.modules[name] = loaded
+    try:
+        spec.loader.exec_module(loaded)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return loaded
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a file whole or not at all."""
+    with tempfile.NamedTemporaryFile(
+        "w", dir=path.parent, suffix=".part", delete=False, encoding="utf-8"
+    ) as file:
+        file.write(text)
+    Path(file.name).replace(path)

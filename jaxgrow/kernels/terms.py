@@ -1,0 +1,35 @@
+"""The terms of an energy as a handler of XLA: one evaluation of their roots.
+
+Arguments: addresses of the roots, wiring (see `jaxgrow.kernels.tables`), which particles
+are alive, nodes, a displacement (of no rows for forces), and the buffers. Results: what
+the roots add up, and the distances to what each node must not cross.
+"""
+
+from typing import no_type_check
+
+import numpy as np
+from numba import cfunc
+
+from jaxgrow.kernels import frames
+from jaxgrow.kernels.tables import make_tables, run
+
+
+@cfunc(frames.HANDLER, cache=True)
+@no_type_check
+def handler(frame: int) -> int:
+    """For XLA: arguments and results as told above."""
+    if frames.answers_version(frame):
+        return 0
+    roots, most = frames.size(frame, 0, 0), frames.size(frame, 1, 1)
+    total = frames.size(frame, 3, 0)
+    addresses = frames.long_indices(frames.argument(frame, 0), (roots,))
+    wiring = frames.long_indices(frames.argument(frame, 1), (roots, most))
+    nodes = frames.reals(frames.argument(frame, 3), (total, 3))
+    along = frames.reals(frames.argument(frame, 4), (frames.size(frame, 4, 0), 3))
+    out = frames.reals(frames.result(frame, 0), (total, 3))
+    clear = frames.reals(frames.result(frame, 1), (total,))
+    out[:], clear[:] = 0.0, np.inf
+    count, last = frames.size(frame, 2, 0), frames.count_arguments(frame)
+    tables = make_tables(frame, wiring, last, count, nodes, along, out, clear)
+    run(addresses, tables)
+    return 0
