@@ -20,6 +20,11 @@ if TYPE_CHECKING:
         Target as Target,
     )
     from jaxgrow.energy.a2 import A2 as A2
+    from jaxgrow.energy.term import (
+        Elements as Elements,
+        MembraneTerm as MembraneTerm,
+        Term as Term,
+    )
     from jaxgrow.ensemble import grow_many as grow_many
     from jaxgrow.equilibrium.compliance import (
         linear_response as linear_response,
@@ -68,11 +73,13 @@ _HOME = {
     "A2": "energy.a2",
     "Audit": "audit",
     "Bounds": "calibration.task",
+    "Elements": "energy.term",
     "Fit": "calibration.outcome",
     "FitError": "calibration.task",
     "Growth": "growth",
     "LinearResponse": "equilibrium.compliance",
     "Membrane": "state",
+    "MembraneTerm": "energy.term",
     "Myoma": "scene",
     "Organ": "organ.organ",
     "OrganError": "organ.validity",
@@ -88,6 +95,7 @@ _HOME = {
     "State": "state",
     "Surroundings": "scene",
     "Target": "calibration.task",
+    "Term": "energy.term",
     "UnstableAdhesionWarning": "parameters",
     "audit": "audit",
     "audit_run": "run_folder",

@@ -17,7 +17,7 @@ from jaxgrow import kernels
 from jaxgrow.collisions import CollisionFinder
 from jaxgrow.energy.a2 import CUTOFF
 from jaxgrow.equilibrium.lists import Lists
-from jaxgrow.equilibrium.problem import LARGEST_STEP
+from jaxgrow.equilibrium.problem import ExtraTerms, LARGEST_STEP
 from jaxgrow.equilibrium.relax import relax, Relaxation
 from jaxgrow.mesh.sheet import Walls
 from jaxgrow.neighbors import FEW
@@ -42,12 +42,14 @@ class Laws:
         collisions: whether sheets of the surface repel each other: "on", "off", or
             "auto" for as soon as they meet.
         walls: the rest of the organ; None without one.
+        terms: of the energy, besides those of jaxgrow.
     """
 
     parameters: Parameters
     tolerance: float
     collisions: str = "auto"
     walls: Walls | None = None
+    terms: ExtraTerms = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +107,7 @@ def adapt_tissue_and_surface(
             largest_step=largest,
             lists=lists,
             collide=finder if colliding else None,
+            terms=laws.terms,
         )
         if relaxation.stats.overflows:
             count = mended.get("overflows", 0) + relaxation.stats.overflows

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from jaxgrow.clock import Clock
 from jaxgrow.compilations import count_compilations, forget_now_and_then
 from jaxgrow.equilibrium.implicit import is_differentiated
+from jaxgrow.equilibrium.problem import ExtraTerms
 from jaxgrow.equilibrium.stages import exact_tolerance
 from jaxgrow.events import Event, Events, Start
 from jaxgrow.growth import Growth, Progress
@@ -46,6 +47,7 @@ def grow(
     max_seconds: float | None = None,
     progress: Callable[[Progress], None] | None = None,
     events: Events | None = None,
+    terms: ExtraTerms = (),
 ) -> Growth:
     """Grow a lesion until it has the size, or the number of divisions, asked for.
 
@@ -89,6 +91,7 @@ def grow(
         progress: called after every iteration.
         events: of a growth to replay; then seed and bounds do not matter. Record it at
             `tolerance=1e-10` if you replay it with other parameters.
+        terms: energies besides those of jaxgrow, see `jaxgrow.relax`.
 
     Returns:
         The growth. Its result is REACHED, or says why it ended before that, with the
@@ -115,19 +118,19 @@ def grow(
     with count_compilations() as compilations:
         if events is None:
             tolerance = 1e-3 if tolerance is None else tolerance
-            if is_differentiated(parameters):
+            if is_differentiated((parameters, terms)):
                 tolerance = min(tolerance, exact_tolerance())
             limits = Limits(max_divisions, max_seconds)
             step, events, history = _grow(
-                scene, seed, parameters, tolerance, limits, clock, progress
+                scene, seed, parameters, tolerance, limits, clock, progress, terms
             )
             result = events.result
         else:
             tolerance = tolerance_of_replay(events, parameters, tolerance)
             with clock.phase("plant"):
-                planted = plant_again(scene, events, parameters, tolerance)
+                planted = plant_again(scene, events, parameters, tolerance, terms)
             step, history, result = replay(
-                scene, events, planted, parameters, tolerance, clock, progress
+                scene, events, planted, parameters, tolerance, clock, progress, terms
             )
     return Growth(
         scene=scene,
@@ -165,12 +168,13 @@ def _grow(
     limits: Limits,
     clock: Clock,
     progress: Callable[[Progress], None] | None,
+    terms: ExtraTerms,
 ) -> tuple[Step, Events, list[dict[str, Any]]]:
     """The last step, the choices with the result, and a record of every iteration."""
     rng = np.random.default_rng(seed)
     with clock.phase("plant"):
-        planted = plant(scene, parameters, tolerance=tolerance, rng=rng)
-    step, result = first_step(planted), Result.CONVERGED
+        planted = plant(scene, parameters, tolerance=tolerance, rng=rng, terms=terms)
+    step, result = first_step(planted, terms), Result.CONVERGED
     if planted.outcome is not None:
         result = planted.outcome.result
     start, events = _start(planted), list[Event]()

@@ -81,7 +81,7 @@ class Parameters(eqx.Module):
     mixed_adhesion: Scalar = 1.0
     spring_stiffness: Scalar = 0.04
     pretension: Scalar = 0.2
-    bending_stiffness: Scalar = 0.0
+    bending_stiffness: Scalar = 0.005
     contact_range: Scalar = 0.7
     contact_stiffness: Scalar = 1.0
     contact_adhesion: Scalar = 0.3

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Int
 
 from jaxgrow.border import Border, border_of
+from jaxgrow.equilibrium.problem import ExtraTerms
 from jaxgrow.equilibrium.relax import relax, Relaxation
 from jaxgrow.lesion import height_above, RAISED
 from jaxgrow.mesh.sheet import Walls
@@ -131,6 +132,7 @@ def plant(
     *,
     tolerance: float,
     rng: np.random.Generator,
+    terms: ExtraTerms = (),
 ) -> Planted:
     """The start of a growth: patch cut out, tissue filled in and relaxed, first tumour.
 
@@ -139,6 +141,7 @@ def plant(
         parameters: of the mechanics.
         tolerance: of the relaxation of the tissue, in F(0).
         rng: draws the tissue.
+        terms: of the energy, besides those of jaxgrow.
 
     Raises:
         OrganError: the organ or the site cannot be used.
@@ -149,7 +152,7 @@ def plant(
         return plant_free(scene)
     site = locate_site(organ, scene.lesion.site)
     layout = lay_out(scene, organ, site, get_number(parameters.contact_range), rng)
-    planted = plant_layout(scene, layout, parameters, tolerance)
+    planted = plant_layout(scene, layout, parameters, tolerance, terms=terms)
     if isinstance(scene.lesion, Polyp) and scene.lesion.target_mm is not None:
         check_lift(planted.state, scene.surroundings.density)
     return planted
@@ -277,6 +280,7 @@ def plant_layout(
     parameters: Parameters,
     tolerance: float,
     start: Positions | None = None,
+    terms: ExtraTerms = (),
 ) -> Planted:
     """Relax patch and tissue.
 
@@ -286,6 +290,7 @@ def plant_layout(
         parameters: of the mechanics.
         tolerance: of the equilibrium, in F(0).
         start: where to begin, of a growth that is replayed; None for the layout.
+        terms: of the energy, besides those of jaxgrow.
     """
     tissue = layout.tissue
     capacity = _rounded(len(layout.species) + (scene.lesion.divisions or SPARE))
@@ -293,7 +298,13 @@ def plant_layout(
     membrane = put_membrane(layout.surface)
     if start is not None:
         particles, membrane = put_positions(particles, membrane, start)
-    outcome = relax(particles, membrane, parameters=parameters, tolerance=tolerance)
+    outcome = relax(
+        particles,
+        membrane,
+        parameters=parameters,
+        tolerance=tolerance,
+        terms=terms,
+    )
     particles, membrane = outcome.state
     assert particles is not None
     assert membrane is not None

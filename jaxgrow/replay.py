@@ -8,6 +8,7 @@ import jax
 from jaxgrow.clock import Clock
 from jaxgrow.compilations import forget_now_and_then
 from jaxgrow.equilibrium.implicit import is_differentiated
+from jaxgrow.equilibrium.problem import ExtraTerms
 from jaxgrow.equilibrium.stages import exact_tolerance
 from jaxgrow.events import Events
 from jaxgrow.growth import Progress
@@ -43,7 +44,11 @@ def tolerance_of_replay(
 
 
 def plant_again(
-    scene: Scene, events: Events, parameters: Parameters, tolerance: float
+    scene: Scene,
+    events: Events,
+    parameters: Parameters,
+    tolerance: float,
+    terms: ExtraTerms = (),
 ) -> Planted:
     """The recorded start, relaxed again.
 
@@ -60,7 +65,7 @@ def plant_again(
     layout, positions = events.start.layout, events.start.positions
     if layout is None:
         return plant_free(scene)
-    return plant_layout(scene, layout, parameters, tolerance, positions)
+    return plant_layout(scene, layout, parameters, tolerance, positions, terms)
 
 
 def replay(
@@ -71,6 +76,7 @@ def replay(
     tolerance: float,
     clock: Clock,
     progress: Callable[[Progress], None] | None,
+    terms: ExtraTerms = (),
 ) -> tuple[Step, list[dict[str, Any]], Result]:
     """Make all recorded steps.
 
@@ -78,7 +84,7 @@ def replay(
         The last equilibrium, a record of every step, and the recorded result, or why an
         equilibrium was not found.
     """
-    step = first_step(planted)
+    step = first_step(planted, terms)
     history: list[dict[str, Any]] = []
     if planted.outcome is not None and planted.outcome.result is not Result.CONVERGED:
         return step, history, planted.outcome.result

@@ -14,6 +14,7 @@ from jaxgrow.clock import Clock
 from jaxgrow.collisions import CollisionFinder
 from jaxgrow.equilibrium.listing import stale
 from jaxgrow.equilibrium.lists import Lists
+from jaxgrow.equilibrium.problem import ExtraTerms
 from jaxgrow.equilibrium.relax import relax
 from jaxgrow.events import Settling
 from jaxgrow.mesh.fairing import fair
@@ -55,6 +56,7 @@ class Step:
         colliding: whether sheets of the surface have come near each other.
         border: what is held around the patch, before growth; None for a free cluster.
         least_quality: radius ratio that no triangle may fall below.
+        terms: of the energy, besides those of jaxgrow.
     """
 
     state: State
@@ -64,6 +66,7 @@ class Step:
     colliding: bool = False
     border: Border | None = None
     least_quality: float = LEAST_QUALITY
+    terms: ExtraTerms = ()
 
     @property
     def walls(self) -> Walls | None:
@@ -118,7 +121,8 @@ def settle(
         tolerance: of the equilibrium, in F(0).
         clock: counts the seconds of the phases "adapt" and "fair".
     """
-    laws = Laws(parameters, tolerance, scene.surroundings.collisions, step.walls)
+    collisions = scene.surroundings.collisions
+    laws = Laws(parameters, tolerance, collisions, step.walls, step.terms)
     colliding = step.colliding
     while True:
         with clock.phase("adapt"):
@@ -181,6 +185,7 @@ def settle_again(
             tolerance=tolerance,
             lists=step.lists,
             collide=finder,
+            terms=step.terms,
         )
     particles, membrane = relaxation.state
     assert particles is not None

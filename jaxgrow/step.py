@@ -19,6 +19,7 @@ from jaxgrow.division import (
     Division,
 )
 from jaxgrow.enlargement import enlarge_ground, Enlarged, put_enlarged
+from jaxgrow.equilibrium.problem import ExtraTerms
 from jaxgrow.events import Event, Widening
 from jaxgrow.mesh.proximity import nearest_on_mesh
 from jaxgrow.organ import OrganError
@@ -58,7 +59,7 @@ class Iteration:
     felt: Feeling | None = None
 
 
-def first_step(planted: Planted) -> Step:
+def first_step(planted: Planted, terms: ExtraTerms = ()) -> Step:
     """The step before the first division."""
     return Step(
         planted.state,
@@ -67,6 +68,7 @@ def first_step(planted: Planted) -> Step:
         planted.ground,
         border=planted.border,
         least_quality=bound_on_quality(planted.state),
+        terms=tuple(terms),
     )
 
 

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from jaxgrow.equilibrium.listing import allocate_lists, fits, prepared
 from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.loops import with_loops
-from jaxgrow.equilibrium.problem import Problem
+from jaxgrow.equilibrium.problem import ExtraTerms, Problem
 from jaxgrow.equilibrium.response import linearise, respond, Response
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
@@ -50,6 +50,7 @@ def linear_response(
     parameters: Parameters | None = None,
     load: Float[Array, "m 3"] | None = None,
     lists: Lists | None = None,
+    terms: ExtraTerms = (),
 ) -> LinearResponse:
     r"""How an equilibrium moves when small forces act on it.
 
@@ -70,6 +71,7 @@ def linear_response(
             It has no stiffness, but where nothing is pinned it keeps the direction.
         lists: of the relaxation, to spare their allocation. They are needed where the
             surface collides, or no collision is felt.
+        terms: energies besides those of jaxgrow, as of the relaxation.
 
     Returns:
         The displacement in r0, whether it can be trusted, and what it took.
@@ -81,7 +83,7 @@ def linear_response(
     """
     if particles is None and membrane is None:
         raise ValueError("nothing responds: give particles, a membrane, or both.")
-    problem = Problem.of(particles, membrane, parameters, load)
+    problem = Problem.of(particles, membrane, parameters, load, terms)
     nodes = problem.nodes()
     for name in ("particles", "vertices"):
         _check(f"forces.{name}", getattr(forces, name), getattr(nodes, name))

@@ -154,12 +154,15 @@ def _judge(problem: Problem, lists: Lists, free: Mask) -> Judged:
     return Judged(force, Sizes.of(force, free), lists)
 
 
-def may_pay(problem: Problem) -> bool:
-    """Whether a problem is large enough to look for the part that is disturbed.
+def is_local(problem: Problem) -> bool:
+    """Whether it is known how far all of its energies act."""
+    own = all(isinstance(term, MembraneTerm) for term in problem.terms)
+    return own and not problem.functions
 
-    Of energies that are not the membrane's own it is not known how far they act.
-    """
-    if problem.functions or not all(isinstance(t, MembraneTerm) for t in problem.terms):
+
+def may_pay(problem: Problem) -> bool:
+    """Whether a problem is large enough to look for the part that is disturbed."""
+    if not is_local(problem):
         return False
     count = 0
     if problem.particles is not None:

@@ -19,7 +19,7 @@ from jaxgrow.energy.contact import Contacts, reach
 from jaxgrow.equilibrium.descent import Descent
 from jaxgrow.equilibrium.lbfgs import LBFGS, LBFGSMemory
 from jaxgrow.equilibrium.lists import Lists
-from jaxgrow.equilibrium.loops import make_wiring, wired
+from jaxgrow.equilibrium.loops import handler, make_wiring, wired
 from jaxgrow.equilibrium.problem import (
     CANDIDATE_SKIN,
     COLLISION_SKIN,
@@ -28,7 +28,6 @@ from jaxgrow.equilibrium.problem import (
     Problem,
 )
 from jaxgrow.kernels import layout
-from jaxgrow.kernels.ffi import target
 from jaxgrow.results import Result
 from jaxgrow.state import Nodes
 
@@ -229,7 +228,7 @@ def _call(
     wiring = make_wiring([[number[id(b)] for b in term.buffers] for term in terms])
     fixed = [*scene, bounds, problem.loops.force, jnp.asarray(wiring), *own]
     call = jax.ffi.ffi_call(
-        target("descent"),
+        handler("descent"),
         [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in rows],
         input_output_aliases={len(fixed) + k: k for k in range(len(rows))},
     )

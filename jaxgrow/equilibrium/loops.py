@@ -34,6 +34,7 @@ from jaxgrow.kernels.printer import UnprintableError
 from jaxgrow.kernels.roots import load
 from jaxgrow.state import Nodes, Species
 from jaxgrow.transfer import put
+from jaxgrow.types import Scalar
 
 
 if TYPE_CHECKING:
@@ -186,6 +187,13 @@ def _loops(keys: tuple[_Key, ...], products: bool) -> Loops:
     )
 
 
+def handler(name: str) -> str:
+    """Register a handler with XLA; return the name that XLA knows it by."""
+    if not registered(name):
+        raise RuntimeError(f"XLA refuses the loop {name!r}; set JAXGROW_KERNELS=off.")
+    return target(name)
+
+
 def may_loop(problem: "Problem") -> bool:
     """Whether loops can be used for a problem: on a processor, in 64 bits."""
     if not (problem.dtype == jnp.float64 and registered("terms")):
@@ -244,20 +252,73 @@ def evaluate(
     if along is not None:
         rows = jnp.concatenate(jax.tree.leaves(along))
         moved = jnp.pad(rows, ((0, place.shape[0] - rows.shape[0]), (0, 0)))
-    terms = [term for term in wired(at, lists) if term.name in loops.names]
-    buffers = [buffer for term in terms for buffer in term.buffers]
-    call = jax.ffi.ffi_call(
-        target("terms"),
-        (
-            jax.ShapeDtypeStruct(place.shape, place.dtype),
-            jax.ShapeDtypeStruct(place.shape[:1], place.dtype),
-        ),
-    )
-    number = iter(range(5, 5 + len(buffers)))
-    wiring = make_wiring([[next(number) for _ in term.buffers] for term in terms])
-    given = addresses, jnp.asarray(wiring), alive, place, moved
-    out, clear = call(*given, *buffers)
+    results = [
+        jax.ShapeDtypeStruct(s, place.dtype) for s in (place.shape, place.shape[:1])
+    ]
+    wiring, buffers = _buffers(at, lists, first=5)
+    call = jax.ffi.ffi_call(handler("terms"), results)
+    out, clear = call(addresses, wiring, alive, place, moved, *buffers)
     return _split(problem, out), _split(problem, clear)
+
+
+class Solved(NamedTuple):
+    """What the loop of conjugate gradients found, see `jaxgrow.kernels.solve`."""
+
+    displacement: Nodes
+    numbers: Float[Array, "2"]
+    counts: Int[Array, "3"]
+
+
+def solve(
+    problem: "Problem",
+    lists: "Lists",
+    force: Nodes,
+    relative: Scalar,
+    *,
+    uneven: Nodes,
+    loose: tuple[Bool[Array, ""], Bool[Array, ""]],
+) -> Solved:
+    """Solve for the displacement by which a force moves an equilibrium.
+
+    Args:
+        problem: at the equilibrium, with loops of all terms' products.
+        lists: valid there.
+        force: on every node.
+        relative: residual, over the force, at which to stop.
+        uneven: a force without symmetry.
+        loose: whether the whole may shift, and turn.
+    """
+    assert problem.loops is not None
+    assert problem.loops.product is not None
+    alive, place = placed(problem, lists)
+
+    def rows(nodes: Nodes) -> Array:
+        return jnp.concatenate(jax.tree.leaves(nodes))
+
+    results = [
+        jax.ShapeDtypeStruct(rows(force).shape, place.dtype),
+        jax.ShapeDtypeStruct((2,), place.dtype),
+        jax.ShapeDtypeStruct((3,), jnp.int64),
+    ]
+    wiring, buffers = _buffers(problem, lists, first=9)
+    x, numbers, counts = jax.ffi.ffi_call(handler("solve"), results)(
+        *(problem.loops.product, wiring, alive, place),
+        *(rows(problem.free())[:, 0] > 0, jnp.stack(loose), rows(force)),
+        *(jnp.asarray(relative, place.dtype)[None], rows(uneven), *buffers),
+    )
+    return Solved(_split(problem, x), numbers, counts)
+
+
+def _buffers(
+    problem: "Problem", lists: "Lists", first: int
+) -> tuple[Int[Array, "t b"], list[Array]]:
+    """Wiring and buffers of the terms that have loops, as arguments from a number on."""
+    assert problem.loops is not None
+    terms = [t for t in wired(problem, lists) if t.name in problem.loops.names]
+    buffers = [buffer for term in terms for buffer in term.buffers]
+    number = iter(range(first, first + len(buffers)))
+    wiring = make_wiring([[next(number) for _ in term.buffers] for term in terms])
+    return jnp.asarray(wiring), buffers
 
 
 def placed(

@@ -73,6 +73,10 @@ EnergyFunction: TypeAlias = Callable[[Particles | None, Membrane | None], Array]
 """An energy of particles and membrane, in F(0) r0."""
 
 
+ExtraTerms: TypeAlias = Sequence[Term | EnergyFunction]
+"""Energies besides those of jaxgrow."""
+
+
 class _Function(eqx.Module):
     """A plain function as an energy: it is the same program if it is the same object."""
 
@@ -120,7 +124,7 @@ class Problem(eqx.Module):
         membrane: Membrane | None,
         parameters: Parameters | None = None,
         load: Float[Array, "m 3"] | None = None,
-        extra: Sequence[Term | EnergyFunction] = (),
+        extra: ExtraTerms = (),
     ) -> "Problem":
         """A problem whose parameters, by default `Parameters()`, are arrays.
 
@@ -236,7 +240,7 @@ class Problem(eqx.Module):
 
         def multiplied(along: Nodes) -> Nodes:
             own, _ = evaluate(self, nodes, lists, along)
-            if self._is_done(lists):
+            if self.is_looped(lists):
                 return own
             more = jax.jvp(jax.grad(rest), (nodes,), (along,))[1]
             return jax.tree.map(jnp.add, own, more)
@@ -408,7 +412,7 @@ class Problem(eqx.Module):
             apart = moved.distances(lists)
             return moved._energy(lists, apart, (*done, "pair", "load")), apart
 
-        if self.loops is not None and self._is_done(lists):
+        if self.loops is not None and self.is_looped(lists):
             forces, clear = evaluate(self, nodes, lists)
             return with_load(forces), clear
         slope, apart = jax.grad(rest, has_aux=True)(nodes)
@@ -430,7 +434,7 @@ class Problem(eqx.Module):
         assert forces.vertices is not None
         return Nodes(forces.particles, forces.vertices + self.load)
 
-    def _is_done(self, lists: Lists) -> bool:
+    def is_looped(self, lists: Lists) -> bool:
         """Whether loops evaluate everything but the load."""
         assert self.loops is not None
         names = {term.name for term in wired(self, lists)}

@@ -16,8 +16,8 @@ from jaxgrow.equilibrium.listing import (
     prepared,
 )
 from jaxgrow.equilibrium.lists import Lists
-from jaxgrow.equilibrium.local import may_pay, relax_locally
-from jaxgrow.equilibrium.problem import LARGEST_STEP, Problem
+from jaxgrow.equilibrium.local import is_local, may_pay, relax_locally
+from jaxgrow.equilibrium.problem import ExtraTerms, LARGEST_STEP, Problem
 from jaxgrow.equilibrium.stages import (
     exact_tolerance,
     goal_of,
@@ -109,6 +109,7 @@ def relax(
     lists: Lists | None = None,
     collide: CollisionLister | None = None,
     observe: Callable[[Nodes], None] | None = None,
+    terms: ExtraTerms = (),
 ) -> Relaxation:
     """Bring particles and membrane to equilibrium: the largest force at a tolerance.
 
@@ -156,6 +157,13 @@ def relax(
         observe: called with the positions after every single step, which makes the
             relaxation several times slower; of "staggered" after every turn, of
             "newton" at the end.
+        terms: energies besides those of jaxgrow. An object of the kind of
+            `jaxgrow.Term`, whose energy of one element is printed as a loop like those
+            of jaxgrow; or a function of particles and membrane that returns an energy
+            in F(0) r0, which XLA evaluates: a relaxation then takes several times as
+            long. A function is compiled anew for every new object, so define it once;
+            numbers in it that change from call to call belong into the fields of an
+            `equinox.Module` that is called like a function.
 
     Returns:
         state, result, stats and lists. When the result is not CONVERGED the state is
@@ -186,7 +194,7 @@ def relax(
             "method is 'local', which is for what collides with nothing and is not "
             "observed; 'auto' is for everything."
         )
-    given = Problem.of(particles, membrane, parameters, load)
+    given = Problem.of(particles, membrane, parameters, load, terms)
     differentiated = is_differentiated(given)
     problem = primal(given) if differentiated else given
     own = problem.particles
@@ -197,6 +205,11 @@ def relax(
     goal = goal_of(tolerance, given.dtype)
     if lists is None or not fits(problem, lists):
         lists = allocate_lists(problem)
+    if method == "local" and not is_local(problem):
+        raise ValueError(
+            "method is 'local', and of energies that are not jaxgrow's it is not known "
+            "how far they act; use 'auto'."
+        )
     if method == "auto" and collide is None and observe is None and may_pay(problem):
         method = "local"
     stats = RelaxationStats(math.inf, 0, 0, 0, method)

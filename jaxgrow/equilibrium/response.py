@@ -33,6 +33,7 @@ import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxgrow.equilibrium import loops
 from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.results import Result
@@ -80,6 +81,7 @@ class Linearised(NamedTuple):
         project: takes the rigid modes out of it too.
         null_modes: their number.
         uneven: a force without any symmetry, on every row.
+        respond: the response to a force, by one loop; None where there is none.
     """
 
     force: Nodes
@@ -88,6 +90,7 @@ class Linearised(NamedTuple):
     project: Product
     null_modes: Int[Array, ""]
     uneven: Nodes
+    respond: Callable[[Nodes, Scalar], Response] | None = None
 
 
 def solved(dtype: DTypeLike) -> float:
@@ -132,7 +135,19 @@ def linearise(problem: Problem, lists: Lists) -> Linearised:
     def project(vector: Nodes) -> Nodes:
         return _without(rigid, feel(vector))
 
-    return Linearised(masked(force), product, feel, project, count, uneven)
+    looped = problem.loops is not None and problem.loops.product is not None
+    looped = looped and problem.is_looped(lists)
+
+    def respond(vector: Nodes, relative: Scalar) -> Response:
+        loose = _unpinned(problem)
+        may = loose, loose & _unloaded(problem)
+        found = loops.solve(problem, lists, vector, relative, uneven=uneven, loose=may)
+        (residual, softest), (products, modes, code) = found.numbers, found.counts
+        nodes = found.displacement
+        return Response(nodes, residual, products, softest, modes, code)
+
+    given = masked(force), product, feel, project, count, uneven
+    return Linearised(*given, respond if looped else None)
 
 
 def _uneven(rows: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
@@ -252,6 +267,10 @@ def solve(linear: Linearised, force: Nodes, relative: Scalar | None = None) -> R
         relative: residual at which to stop, over the force; by default that of
             `solved`.
     """
+    if relative is None:
+        relative = solved(jax.tree.leaves(force)[0].dtype)
+    if linear.respond is not None:
+        return linear.respond(force, relative)
     given = linear.feel(force)
     b, whole = linear.project(given), dot(given, given)
     dtype = whole.dtype
@@ -260,8 +279,6 @@ def solve(linear: Linearised, force: Nodes, relative: Scalar | None = None) -> R
     nothing = jnp.isfinite(whole) & (dot(b, b) <= rounding)
     b = jax.tree.map(lambda a: jnp.where(nothing, 0, a), b)
     size = dot(b, b)
-    if relative is None:
-        relative = solved(dtype)
     zero = jax.tree.map(jnp.zeros_like, b)
     start = _Search(
         zero,

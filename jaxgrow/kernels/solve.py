@@ -1,0 +1,288 @@
+"""The linear response of `jaxgrow.equilibrium.response` as one loop, called by XLA.
+
+Conjugate gradients on Hessian products of the terms' roots (see
+`jaxgrow.kernels.roots`). Where something is pinned or held, as in every patch, rows are
+scaled by an estimate of their diagonal (Hutchinson: the mean of z · H z over random
+signs z), which takes a third to a half of the products; where rigid modes have to be
+projected out they are not.
+
+Arguments: addresses of the roots, their wiring, which particles are alive, nodes, which
+of them are free, whether the whole may shift and turn, the force, the relative residual
+to stop at, a force without symmetry, and the buffers. Results: the displacement; its
+residual and the smallest curvature met; numbers of products and of null modes, and the
+code of the `Result`.
+"""
+
+import math
+from typing import no_type_check
+
+import numpy as np
+from numba import cfunc, njit
+
+from jaxgrow.kernels import frames
+from jaxgrow.kernels.regrouped import regrouped
+from jaxgrow.kernels.tables import make_tables, run
+from jaxgrow.results import Result
+
+
+CONVERGED, SINGULAR = Result.CONVERGED.code, Result.SINGULAR.code
+NOT_SOLVED = Result.NOT_SOLVED.code
+
+MAX_PRODUCTS = 4000
+"""Bound on the Hessian products of one response."""
+
+FLAT = 1e-9
+"""Curvature, over the largest met, below which a direction is a null mode."""
+
+_PROBES = 6
+"""Random vectors that the diagonal is estimated with; each is a product."""
+
+_LEAST = 0.02
+"""Estimates below this share of their mean are replaced by it: some are negative."""
+
+
+@regrouped
+@no_type_check
+def _dot(a: np.ndarray, b: np.ndarray) -> float:
+    total = 0.0
+    for i in range(len(a)):
+        total += a[i, 0] * b[i, 0] + a[i, 1] * b[i, 1] + a[i, 2] * b[i, 2]
+    return total
+
+
+@njit(cache=True)
+@no_type_check
+def _multiply(
+    addresses: np.ndarray,
+    tables: np.ndarray,
+    free: np.ndarray,
+    vector: np.ndarray,
+    way: np.ndarray,
+    product: np.ndarray,
+) -> None:
+    """Write the Hessian's product with a vector, on what is free, into `product`."""
+    for i in range(len(free)):
+        for axis in range(3):
+            way[i, axis] = vector[i, axis] if free[i] else 0.0
+    product[:] = 0.0
+    run(addresses, tables)
+    for i in range(len(free)):
+        if not free[i]:
+            product[i] = 0.0
+
+
+@njit(cache=True)
+@no_type_check
+def _rigid_modes(
+    nodes: np.ndarray, touching: np.ndarray, shifts: bool, turns: bool
+) -> np.ndarray:
+    """Orthonormal motions of the whole; as many as there are."""
+    count, centre = 0, np.zeros(3)
+    for i in range(len(touching)):
+        if touching[i]:
+            centre += nodes[i]
+            count += 1
+    centre /= max(count, 1)
+    modes, found = np.zeros((6, len(touching), 3)), 0
+    for number in range(6):
+        if not (shifts and (number < 3 or turns)):
+            continue
+        mode = modes[found]
+        mode[:] = 0.0
+        for i in range(len(touching)):
+            if touching[i]:
+                if number < 3:
+                    mode[i, number] = 1.0
+                else:
+                    # the axis × the vector from the centre
+                    y, z = (number - 2) % 3, (number - 1) % 3
+                    mode[i, y] = -(nodes[i, z] - centre[z])
+                    mode[i, z] = nodes[i, y] - centre[y]
+        size = math.sqrt(_dot(mode, mode))
+        for _ in range(2):  # twice is enough
+            _project(modes[:found], mode)
+        length = math.sqrt(_dot(mode, mode))
+        if length > math.sqrt(np.finfo(np.float64).eps) * max(size, 1.0):
+            mode /= length
+            found += 1
+    return modes[:found]
+
+
+@njit(cache=True)
+@no_type_check
+def _project(modes: np.ndarray, vector: np.ndarray) -> None:
+    """Take a vector's part in orthonormal modes out of it."""
+    for mode in range(len(modes)):
+        part = _dot(modes[mode], vector)
+        for i in range(len(vector)):
+            for axis in range(3):
+                vector[i, axis] -= part * modes[mode, i, axis]
+
+
+@njit(cache=True)
+@no_type_check
+def _scales(
+    addresses: np.ndarray,
+    tables: np.ndarray,
+    free: np.ndarray,
+    touching: np.ndarray,
+    way: np.ndarray,
+    product: np.ndarray,
+) -> np.ndarray:
+    """The inverse of the estimated diagonal of each row; 0 for rows without."""
+    rows = len(free)
+    diagonal, signs = np.zeros(rows), np.zeros((rows, 3))
+    state = np.uint64(88172645463325252)
+    for _ in range(_PROBES):
+        for i in range(rows):
+            for axis in range(3):
+                # Marsaglia's xorshift
+                state ^= state << np.uint64(13)
+                state ^= state >> np.uint64(7)
+                state ^= state << np.uint64(17)
+                signs[i, axis] = 1.0 if state & np.uint64(1 << 40) else -1.0
+        _multiply(addresses, tables, free, signs, way, product)
+        for i in range(rows):
+            for axis in range(3):
+                diagonal[i] += signs[i, axis] * product[i, axis]
+    mean, count = 0.0, 0
+    for i in range(rows):
+        if touching[i]:
+            mean += abs(diagonal[i])
+            count += 1
+    mean /= max(count, 1)
+    scales = np.zeros(rows)
+    for i in range(rows):
+        if touching[i]:
+            scales[i] = 1.0
+            if mean > 0.0 and mean < np.inf:
+                scales[i] = mean / max(diagonal[i], _LEAST * mean)
+    return scales
+
+
+@njit(cache=True)
+@no_type_check
+def solve(
+    addresses: np.ndarray,
+    tables: np.ndarray,
+    nodes: np.ndarray,
+    free: np.ndarray,
+    loose: np.ndarray,
+    force: np.ndarray,
+    relative: float,
+    uneven: np.ndarray,
+    way: np.ndarray,
+    product: np.ndarray,
+    x: np.ndarray,
+    numbers: np.ndarray,
+    counts: np.ndarray,
+) -> None:
+    """Write the response to a force; see the module."""
+    rows = len(free)
+    hp = product[:rows]
+    _multiply(addresses, tables, free, uneven, way, product)
+    touching, null_modes = np.zeros(rows, np.bool_), 0
+    for i in range(rows):
+        touching[i] = bool(free[i]) and (hp[i] != 0.0).any()
+        null_modes += 3 * (bool(free[i]) and not touching[i])
+    modes = _rigid_modes(nodes, touching, bool(loose[0]), bool(loose[1]))
+    counts[0], counts[1] = 0, null_modes + len(modes)
+    scales = touching.astype(np.float64)
+    if len(modes) == 0:
+        scales = _scales(addresses, tables, free, touching, way, product)
+        counts[0] += _PROBES
+    b = np.zeros((rows, 3))
+    for i in range(rows):
+        for axis in range(3):
+            b[i, axis] = force[i, axis] if touching[i] else 0.0
+    whole = _dot(b, b)
+    _project(modes, b)
+    # of a force that only shifts or turns, rounding is left, which has no solution
+    if _dot(b, b) <= (100 * np.finfo(np.float64).eps) ** 2 * whole:
+        b[:] = 0.0
+    size = _dot(b, b)
+    r, p, z = b.copy(), np.zeros((rows, 3)), np.zeros((rows, 3))
+    x[:] = 0.0
+    square, before, goal = size, 1.0, relative * relative * size
+    stiffest, softest, flat, first, scaled = 0.0, np.inf, False, True, 0.0
+    while counts[0] < MAX_PRODUCTS and not flat:
+        for i in range(rows):
+            for axis in range(3):
+                z[i, axis] = scales[i] * r[i, axis]
+        now = _dot(r, z)
+        if first:
+            scaled = relative * relative * now
+        if not (square > goal or now > scaled):
+            break
+        ratio = 0.0 if first else now / before
+        for i in range(rows):
+            for axis in range(3):
+                p[i, axis] = z[i, axis] + ratio * p[i, axis]
+        first, before = False, now
+        _multiply(addresses, tables, free, p, way, product)
+        _project(modes, hp)
+        counts[0] += 1
+        length, along = _dot(p, p), _dot(p, hp)
+        curvature = along / length
+        stiffest = max(stiffest, abs(curvature))
+        flat = not curvature > FLAT * stiffest
+        softest = min(softest, curvature)
+        if flat:
+            break
+        rate = now / along
+        for i in range(rows):
+            for axis in range(3):
+                x[i, axis] += rate * p[i, axis]
+                r[i, axis] -= rate * hp[i, axis]
+        _project(modes, r)
+        square = _dot(r, r)
+    _project(modes, x)
+    _multiply(addresses, tables, free, x, way, product)
+    _project(modes, hp)
+    left = 0.0
+    for i in range(rows):
+        for axis in range(3):
+            left += (hp[i, axis] - b[i, axis]) ** 2
+    residual = math.sqrt(left / size) if size > 0.0 else math.sqrt(left)
+    residual = residual if math.isfinite(size) else np.nan
+    length = _dot(x, x)
+    if length > 0.0:
+        softest = min(softest, _dot(x, hp) / length)
+    counts[2] = CONVERGED if residual <= 10.0 * relative else NOT_SOLVED
+    if flat:
+        counts[2] = SINGULAR
+    numbers[0], numbers[1] = residual, softest
+    if counts[2] != CONVERGED:
+        x[:] = np.nan
+
+
+@cfunc(frames.HANDLER, cache=True)
+@no_type_check
+def handler(frame: int) -> int:
+    """For XLA: arguments and results as told above."""
+    if frames.answers_version(frame):
+        return 0
+    roots, most = frames.size(frame, 0, 0), frames.size(frame, 1, 1)
+    total, rows = frames.size(frame, 3, 0), frames.size(frame, 4, 0)
+    addresses = frames.long_indices(frames.argument(frame, 0), (roots,))
+    wiring = frames.long_indices(frames.argument(frame, 1), (roots, most))
+    nodes = frames.reals(frames.argument(frame, 3), (total, 3))
+    way, product = np.zeros((total, 3)), np.zeros((total, 3))
+    count, last = frames.size(frame, 2, 0), frames.count_arguments(frame)
+    given = last, count, nodes, way, product, np.zeros(total)
+    solve(
+        addresses,
+        make_tables(frame, wiring, *given),
+        nodes,
+        frames.booleans(frames.argument(frame, 4), (rows,)),
+        frames.booleans(frames.argument(frame, 5), (2,)),
+        frames.reals(frames.argument(frame, 6), (rows, 3)),
+        frames.reals(frames.argument(frame, 7), (1,))[0],
+        frames.reals(frames.argument(frame, 8), (rows, 3)),
+        way,
+        product,
+        frames.reals(frames.result(frame, 0), (rows, 3)),
+        frames.reals(frames.result(frame, 1), (2,)),
+        frames.long_indices(frames.result(frame, 2), (3,)),
+    )
+    return 0
