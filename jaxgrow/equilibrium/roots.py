@@ -14,7 +14,7 @@ from jaxtyping import Array
 
 from jaxgrow.energy.collision import COLLISION
 from jaxgrow.energy.contact import CONTACT
-from jaxgrow.energy.distance import segment_distance, triangle_distance
+from jaxgrow.energy.distance import segment_distance
 from jaxgrow.energy.pair import PAIRS
 from jaxgrow.energy.term import Term
 from jaxgrow.kernels.roots import Buffer, Printed, Root
@@ -100,9 +100,6 @@ def _in_nodes(
     return Printed(name, derivatives, arguments)
 
 
-_BEND = _in_nodes("bend", lambda x, _, __: triangle_distance(*x), 4, (), (), "product")
-
-
 def pair_root(kind: Kind) -> Root:
     """Root of `jaxgrow.energy.pair`; the first number is the cut-off."""
     law = _law("law", PAIRS.energy, ("u", "one", "other"), PAIRS, kind)
@@ -135,13 +132,11 @@ def contact_root(kind: Kind) -> Root:
         "nodes[:count], nodes[count:], alive, particle, corners, real, "
         f"numbers[0], numbers[1], numbers[2], {_tuple(3, len(CONTACT.parameters))}"
     )
-    functions: tuple[Printed, ...] = (law,)
     results = "out[:count], out[count:], clear[:count], clear[count:]"
     call = f"contact.add_forces(law, {given}, {results})"
     if kind == "product":
-        functions = (law, _BEND)
         results = "along[:count], along[count:], out[:count], out[count:]"
-        call = f"contact.add_products(law, bend, {given}, {results})"
+        call = f"contact.add_products(law, {given}, {results})"
     buffers = (
         Buffer("alive", "flags"),
         Buffer("particle", "short"),
@@ -149,7 +144,7 @@ def contact_root(kind: Kind) -> Root:
         Buffer("real", "flags"),
         _NUMBERS,
     )
-    return Root(f"contact_{kind}", functions, "", buffers, (call,))
+    return Root(f"contact_{kind}", (law,), "", buffers, (call,))
 
 
 def collision_root(kind: Kind) -> Root:
@@ -166,18 +161,17 @@ def collision_root(kind: Kind) -> Root:
         _in_nodes(
             "wall_of_edges", of_edges, 4, ("margin",), [f"p_{n}" for n in names], kind
         ),
-        *((_BEND,) if kind == "product" else ()),
     )
     p = _tuple(2, len(names))
     vertices = "points, vertex, corners, apart, margin, numbers[0], numbers[1]"
     edges = "points, edges, edge_margin, numbers[0]"
     results = "out[count:], clear[count:]"
-    add, more = "forces", ""
+    add = "forces"
     if kind == "product":
-        add, more, results = "products", "bend, ", "along[count:], out[count:]"
+        add, results = "products", "along[count:], out[count:]"
     statements = (
         "points = nodes[count:]",
-        f"collision.add_{add}(law, wall, {more}{vertices}, {p}, {results})",
+        f"collision.add_{add}(law, wall, {vertices}, {p}, {results})",
         f"collision.add_{add}_of_edges(wall_of_edges, {edges}, {p}, {results})",
     )
     buffers = (

@@ -101,7 +101,6 @@ def add_forces(
 def add_products(
     slopes_of: Any,
     walls_of: Any,
-    bend: Any,
     points: np.ndarray,
     vertex: np.ndarray,
     corners: np.ndarray,
@@ -118,7 +117,6 @@ def add_products(
     Args:
         slopes_of: first and second derivative of the repulsion.
         walls_of: of the barrier.
-        bend: see `jaxgrow.kernels.contact.add_bent`.
         points: as for `add_forces`, likewise what follows.
         vertex: likewise.
         corners: likewise.
@@ -157,23 +155,8 @@ def add_products(
             change += steeper * approach(found, pair, way, i, way, a, b, c)
             size += wall
         if size != 0.0:
-            add_bent(
-                bend,
-                change,
-                size,
-                found,
-                pair,
-                points,
-                i,
-                points,
-                a,
-                b,
-                c,
-                way,
-                way,
-                product,
-                product,
-            )
+            given = points, a, b, c, way, way, product, product
+            add_bent(change, size, found, pair, i, *given)
 
 
 @regrouped
