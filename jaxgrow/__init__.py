@@ -19,6 +19,10 @@ if TYPE_CHECKING:
         FitError as FitError,
         Target as Target,
     )
+    from jaxgrow.constructors import (
+        make_membrane as make_membrane,
+        make_particles as make_particles,
+    )
     from jaxgrow.energy.a2 import A2 as A2
     from jaxgrow.energy.term import (
         Elements as Elements,
@@ -63,6 +67,7 @@ if TYPE_CHECKING:
     )
     from jaxgrow.state import (
         Membrane as Membrane,
+        Nodes as Nodes,
         Particles as Particles,
         Species as Species,
         State as State,
@@ -81,6 +86,7 @@ _HOME = {
     "Membrane": "state",
     "MembraneTerm": "energy.term",
     "Myoma": "scene",
+    "Nodes": "state",
     "Organ": "organ.organ",
     "OrganError": "organ.validity",
     "Parameters": "parameters",
@@ -105,6 +111,8 @@ _HOME = {
     "linear_response": "equilibrium.compliance",
     "load_organ": "organ.loading",
     "load_scene": "scene",
+    "make_membrane": "constructors",
+    "make_particles": "constructors",
     "make_scene": "scene",
     "read_run": "run_folder",
     "relax": "equilibrium.relax",

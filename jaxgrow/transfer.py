@@ -150,7 +150,7 @@ def put_membrane(surface: Surface) -> Membrane:
     """A membrane at rest on the device."""
     capacity = _vertex_capacity(surface)
     vertices = put(padded(surface.vertices, capacity))
-    return _at_rest(vertices, surface)
+    return put_at_rest(vertices, surface)
 
 
 def get_surface(membrane: Membrane) -> Surface:
@@ -180,7 +180,7 @@ def put_remeshed(membrane: Membrane, remeshing: Remeshing) -> Membrane:
         vertices = jnp.concatenate([vertices, more])
     for parents in remeshing.parents:
         vertices = _average(vertices, put(padded(parents, capacity)))
-    return _at_rest(vertices, remeshing)
+    return put_at_rest(vertices, remeshing)
 
 
 _average = jax.jit(average_parents)
@@ -207,21 +207,32 @@ def reset_springs(membrane: Membrane) -> Membrane:
     return membrane.with_rest(_rest(membrane.with_rest({})))
 
 
-def _at_rest(vertices: Float[Array, "m 3"], mesh: Surface | Remeshing) -> Membrane:
-    """A membrane with these vertices and the connectivity of the mesh."""
+def put_at_rest(
+    vertices: Float[Array, "m 3"], mesh: Surface | Remeshing, *, room: bool = True
+) -> Membrane:
+    """A membrane with these vertices and the connectivity of the mesh.
+
+    Args:
+        vertices: on the device; padding behind those of the mesh.
+        mesh: whose faces, fixed vertices and source the membrane has.
+        room: whether it has rows for twice as many faces and three times as many edges
+            as vertices, or just for those of the mesh.
+    """
     capacity = vertices.shape[0]
     topology = build_topology(mesh.faces, len(mesh.fixed))
     edges = topology.edges
     faces = len(mesh.faces)
+    most_faces = 2 * capacity if room else faces
+    most_edges = 3 * capacity if room else len(edges)
     membrane = Membrane(
         vertices=vertices,
-        faces=put(padded(mesh.faces, 2 * capacity)),
-        edges=put(padded(edges, 3 * capacity)),
-        opposite=put(padded(topology.opposite, 3 * capacity, -1)),
+        faces=put(padded(mesh.faces, most_faces)),
+        edges=put(padded(edges, most_edges)),
+        opposite=put(padded(topology.opposite, most_edges, -1)),
         rest={},
         vertex_alive=put(np.arange(capacity) < len(mesh.fixed)),
-        face_alive=put(np.arange(2 * capacity) < faces),
-        edge_alive=put(np.arange(3 * capacity) < len(edges)),
+        face_alive=put(np.arange(most_faces) < faces),
+        edge_alive=put(np.arange(most_edges) < len(edges)),
         pinned=put(padded(mesh.fixed, capacity)),
         source=put(np.asarray(mesh.source)),
     )

@@ -1,7 +1,9 @@
 """Names of types that several modules share."""
 
-from typing import TypeAlias
+from collections.abc import Sequence
+from typing import Any, TypeAlias
 
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 
@@ -10,3 +12,6 @@ Scalar: TypeAlias = float | Float[Array, ""]
 
 Columns: TypeAlias = tuple[Float[Array, "..."], ...]
 """x, y and z of many vectors: arithmetic on rows of three is several times slower."""
+
+Given: TypeAlias = ArrayLike | Sequence[Any]
+"""An array as users give it: of NumPy, of JAX, a number, or nested lists."""
