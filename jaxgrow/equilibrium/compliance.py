@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import equinox as eqx
-from jaxtyping import Array, Float
 
+from jaxgrow.array_checks import accept_bodies, accept_vectors
 from jaxgrow.equilibrium.listing import allocate_lists, fits, prepared
 from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.loops import with_loops
@@ -13,6 +13,7 @@ from jaxgrow.equilibrium.response import linearise, respond, Response
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
 from jaxgrow.state import Membrane, Nodes, Particles
+from jaxgrow.types import Given
 
 
 class LinearResponse(NamedTuple):
@@ -48,7 +49,7 @@ def linear_response(
     *,
     forces: Nodes,
     parameters: Parameters | None = None,
-    load: Float[Array, "m 3"] | None = None,
+    load: Given | None = None,
     lists: Lists | None = None,
     terms: ExtraTerms = (),
 ) -> LinearResponse:
@@ -67,8 +68,9 @@ def linear_response(
         forces: on every particle and vertex, padding included, in F(0). What acts on
             held, pinned and padding rows has no effect.
         parameters: of the energy; the default `Parameters()`.
-        load: external force on every vertex under which it is an equilibrium, in F(0).
-            It has no stiffness, but where nothing is pinned it keeps the direction.
+        load: external force on every vertex under which it is an equilibrium, (m, 3),
+            in F(0). It has no stiffness, but where nothing is pinned it keeps the
+            direction.
         lists: of the relaxation, to spare their allocation. They are needed where the
             surface collides, or no collision is felt.
         terms: energies besides those of jaxgrow, as of the relaxation.
@@ -77,20 +79,24 @@ def linear_response(
         The displacement in r0, whether it can be trusted, and what it took.
 
     Raises:
-        ValueError: there are neither particles nor a membrane, forces or load have
-            other shapes than what they act on, or a vertex has moved since the
+        ValueError: there are neither particles nor a membrane, an array has another
+            shape or other numbers than it must, or a vertex has moved since the
             collisions were listed.
     """
     if particles is None and membrane is None:
         raise ValueError("nothing responds: give particles, a membrane, or both.")
-    problem = Problem.of(particles, membrane, parameters, load, terms)
-    nodes = problem.nodes()
-    for name in ("particles", "vertices"):
-        _check(f"forces.{name}", getattr(forces, name), getattr(nodes, name))
+    particles, membrane = accept_bodies(particles, membrane)
+    position = None if particles is None else particles.position
+    vertices = None if membrane is None else membrane.vertices
+    acting = Nodes(
+        accept_vectors("forces.particles", forces.particles, position),
+        accept_vectors("forces.vertices", forces.vertices, vertices),
+    )
     if load is not None:
-        _check("load", load, nodes.vertices)
+        load = accept_vectors("load", load, vertices)
+    problem = Problem.of(particles, membrane, parameters, load, terms)
     lists = _lists(problem, lists)
-    found = _respond(with_loops(problem, lists, products=True), lists, forces)
+    found = _respond(with_loops(problem, lists, products=True), lists, acting)
     return LinearResponse(
         found.nodes,
         Result.of(found.code),
@@ -99,18 +105,6 @@ def linear_response(
         float(found.softest),
         int(found.null_modes),
     )
-
-
-def _check(name: str, given: Array | None, nodes: Array | None) -> None:
-    """Refuse one row too many or too few.
-
-    Raises:
-        ValueError: the shapes differ.
-    """
-    shape, wanted = (None if a is None else a.shape for a in (given, nodes))
-    if shape != wanted:
-        why = "there are no such nodes" if wanted is None else "padding counts"
-        raise ValueError(f"{name} has the shape {shape}; it must be {wanted} ({why}).")
 
 
 def _lists(problem: Problem, lists: Lists | None) -> Lists:

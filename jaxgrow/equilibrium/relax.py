@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
+from jaxgrow.array_checks import accept_bodies, accept_vectors
 from jaxgrow.equilibrium.implicit import at_equilibrium, is_differentiated, primal
 from jaxgrow.equilibrium.listing import (
     allocate_lists,
@@ -32,6 +32,7 @@ from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
 from jaxgrow.state import Membrane, Nodes, Particles
 from jaxgrow.transfer import get
+from jaxgrow.types import Given
 from jaxgrow.vicinity import may_coincide
 
 
@@ -105,7 +106,7 @@ def relax(
     method: Method = "auto",
     max_steps: int = 3000,
     largest_step: float = LARGEST_STEP,
-    load: Float[Array, "m 3"] | None = None,
+    load: Given | None = None,
     lists: Lists | None = None,
     collide: CollisionLister | None = None,
     observe: Callable[[Nodes], None] | None = None,
@@ -133,8 +134,9 @@ def relax(
     cross, so particles stay on their side of the membrane throughout.
 
     Args:
-        particles: or None for a membrane alone.
-        membrane: or None for particles alone; then no membrane term is compiled.
+        particles: or None for a membrane alone; see `jaxgrow.make_particles`.
+        membrane: or None for particles alone; then no membrane term is compiled. See
+            `jaxgrow.make_membrane`.
         parameters: of the energy; the default `Parameters()`.
         tolerance: largest force on a free node at the end, in F(0). With 1e-10 or
             less, as under a derivative, which is off by about what is left, it is
@@ -149,7 +151,7 @@ def relax(
             too where there are many thousands of nodes.
         max_steps: bound on the steps of each method.
         largest_step: longest displacement of a node in one step, in r0.
-        load: external force on every vertex, in F(0).
+        load: external force on every vertex, padding included, (m, 3), in F(0).
         lists: of an earlier call, to spare their allocation.
         collide: lists what the membrane may collide with (see
             `jaxgrow.collisions.CollisionFinder`); None if it can collide with nothing,
@@ -170,8 +172,9 @@ def relax(
         the last valid one, and its residual is in the stats.
 
     Raises:
-        ValueError: there is nothing to relax, the tolerance is not positive, or the
-            method is unknown or not for a membrane.
+        ValueError: there is nothing to relax, an array has another shape or other
+            numbers than it must, the tolerance is not positive, or the method is
+            unknown or not for a membrane.
     """
     if particles is None and membrane is None:
         raise ValueError("nothing to relax: give particles, a membrane, or both.")
@@ -194,6 +197,9 @@ def relax(
             "method is 'local', which is for what collides with nothing and is not "
             "observed; 'auto' is for everything."
         )
+    particles, membrane = accept_bodies(particles, membrane)
+    if load is not None:
+        load = accept_vectors("load", load, membrane and membrane.vertices)
     given = Problem.of(particles, membrane, parameters, load, terms)
     differentiated = is_differentiated(given)
     problem = primal(given) if differentiated else given
