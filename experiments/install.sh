@@ -12,7 +12,7 @@ mkdir -p "$HOME"
 
 start=$(date +%s)
 python3 -m venv .venv
-.venv/bin/pip install -q --no-cache-dir -c constraints.txt '.[fast]'
+.venv/bin/pip install -q --no-cache-dir -c constraints.txt .
 installed=$(date +%s)
 .venv/bin/jaxgrow grow --out polyp
 grown=$(date +%s)

@@ -134,11 +134,7 @@ def adapt_tissue_and_surface(
 
 def _alone(points: Float[np.ndarray, "n 3"]) -> int:
     """Number of particles, two at least, without a neighbour that they feel."""
-    loops = kernels.loops("company", points)
-    if loops is not None:
-        return loops.alone(points, CUTOFF)
-    distance, _ = KDTree(points).query(points, k=2)
-    return int(np.count_nonzero(distance[:, 1] >= CUTOFF))
+    return kernels.loops("company").alone(np.asarray(points, float), CUTOFF)
 
 
 JUMP, LEAST_JUMP = 1.2, 0.25

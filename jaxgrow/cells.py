@@ -240,12 +240,12 @@ def filled_on_host(
         The wide list, the near one (neighbour-major; n for an empty entry), and how
         many near neighbours a point has at most; None where there are no loops.
     """
+    if not (position.dtype == jnp.float64 and registered("cells")):
+        return None
     if any(device.platform != "cpu" for device in position.devices()):
         return None
     points = np.array(position)  # loops know no array that is read only
-    kernel = loops("anew", points)
-    if kernel is None:
-        return None
+    kernel = loops("anew")
     if anew:
         of = Hash.of(len(points), wide.cell_size)
         entries, most = kernel.wide_neighbors(

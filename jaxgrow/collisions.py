@@ -94,7 +94,8 @@ class CollisionFinder:
     def sheet(self, vertices: Float[np.ndarray, "m 3"], distance: float) -> Sheet:
         """The surface with these vertices, and the walls within a distance of it."""
         count = len(self.rest.vertices)
-        now = Surface(vertices[:count], self.rest.faces, self.rest.fixed)
+        place = vertices[:count].astype(float)  # the host has 64 bits only
+        now = Surface(place, self.rest.faces, self.rest.fixed)
         return join(now, self.names, self.walls, distance)
 
     def gap(self, vertices: Float[np.ndarray, "m 3"]) -> float:

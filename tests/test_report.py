@@ -67,6 +67,5 @@ def test_versions_are_told_or_none():
 
 @pytest.mark.parametrize("used", [True, False])
 def test_numba_is_told_only_where_its_loops_are_used(used, monkeypatch):
-    pytest.importorskip("numba")
     monkeypatch.setattr(kernels, "wanted", lambda: used)
     assert (versions()["numba"] is not None) == used

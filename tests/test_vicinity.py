@@ -3,18 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxgrow import vicinity
 from jaxgrow.vicinity import may_coincide, near_seeds
-
-
-@pytest.fixture(params=["loop", "tree"])
-def way(request, monkeypatch):
-    """Both ways: by a loop, and without one."""
-    if request.param == "loop":
-        pytest.importorskip("numba")
-    else:
-        monkeypatch.setattr(vicinity, "loops", lambda _: None)
-    return request.param
 
 
 def cloud(count, seed, size=10.0):
@@ -23,7 +12,7 @@ def cloud(count, seed, size=10.0):
 
 @pytest.mark.parametrize("radius", [0.4, 2.0, 50.0])
 @pytest.mark.parametrize("spread", [1e-3, 5.0, 9e3])  # far more cells than are made
-def test_near_is_what_is_within_the_radius_of_a_seed(way, radius, spread):
+def test_near_is_what_is_within_the_radius_of_a_seed(radius, spread):
     points = cloud(500, 0)
     points[:3] = [[1e9, 0, 0], [0, -1e150, 0], [-30, 0, -4]]
     seeds = cloud(40, 1, spread)
@@ -36,13 +25,13 @@ def test_near_is_what_is_within_the_radius_of_a_seed(way, radius, spread):
     assert near.any()
 
 
-def test_nothing_is_near_nobody(way):
+def test_nothing_is_near_nobody():
     points = cloud(20, 2)
     assert not near_seeds(points, points[:0], 3.0).any()
     assert near_seeds(None, points, 3.0).shape == (0,)
 
 
-def test_points_of_32_bits_have_the_same_vicinity(way):
+def test_points_of_32_bits_have_the_same_vicinity():
     points, seeds = cloud(300, 3).astype(np.float32), cloud(9, 4).astype(np.float32)
     wide = near_seeds(points.astype(float), seeds.astype(float), 4.0)
     np.testing.assert_array_equal(near_seeds(points, seeds, 4.0), wide)
@@ -50,7 +39,6 @@ def test_points_of_32_bits_have_the_same_vicinity(way):
 
 @pytest.mark.parametrize("where", [(0, 1), (7, 298), (299, 150)])
 def test_two_points_at_the_same_place_are_found(where):
-    pytest.importorskip("numba")
     points, alive = cloud(300, 5), np.ones(300, bool)
     assert not may_coincide(points, alive)
     points[where[0]] = points[where[1]]
@@ -60,13 +48,7 @@ def test_two_points_at_the_same_place_are_found(where):
 
 
 def test_zero_has_no_sign_and_nan_is_at_no_place():
-    pytest.importorskip("numba")
     points = np.array([[0.0, 1, -0.0], [-0.0, 1, 0.0], [np.nan, 0, 0], [np.nan, 0, 0]])
     alive = np.ones(4, bool)
     assert may_coincide(points, alive)
     assert not may_coincide(points[1:], alive[1:])
-
-
-def test_points_may_coincide_where_no_loop_tells(monkeypatch):
-    monkeypatch.setattr(vicinity, "loops", lambda _: None)
-    assert may_coincide(cloud(5, 6), np.ones(5, bool))

@@ -13,8 +13,8 @@ from importlib.util import find_spec
 
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA:CPU cache loader noise
 
-if missing := [name for name in ("numba", "matplotlib") if find_spec(name) is None]:
+if find_spec("matplotlib") is None:
     sys.exit(
-        f"{' and '.join(missing)} cannot be imported: install the extra of these "
-        "experiments with pip install -e '.[speed]'"
+        "matplotlib cannot be imported: install the extra of these experiments with "
+        "pip install -e '.[speed]'"
     )

@@ -1,12 +1,11 @@
 """Inner loops for processors: compiled by numba, called by XLA programs or the host.
 
 XLA runs a sum over neighbours on a processor as many small programs with arrays between
-them; a loop keeps a pair in registers. A whole descent is one loop. Where numba is not
-installed (extra ``fast``), on accelerators, in 32 bits and under a derivative the same
-is computed by XLA. What the host does with a surface of a few hundred triangles has
-loops too: NumPy spends most of its time there on calls and on candidates that are not
-near; where loops may not be used it finds the same, in the same order. Tests hold all
-of it equal, to rounding. Each loop runs on one thread.
+them; a loop keeps a pair in registers. A whole descent is one loop. On accelerators, in
+32 bits and under a derivative the same is computed by XLA. What the host does with a
+surface of a few hundred triangles is loops always: NumPy would spend most of its time
+there on calls and on candidates that are not near. Tests hold all of it equal to XLA
+or to all pairs, to rounding. Each loop runs on one thread.
 """
 
 import functools
@@ -17,11 +16,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 
 SWITCH = "JAXGROW_KERNELS"
-"""Environment variable that, set to ``off``, leaves everything to XLA and NumPy."""
+"""Environment variable that, set to ``off``, leaves the device's programs to XLA."""
 
 
 @functools.cache
@@ -74,13 +71,12 @@ def forget_others(sources: Path, folder: Path) -> bool:
     return True
 
 
-def loops(name: str, points: np.ndarray | None = None) -> Any:
-    """The loops that the host calls itself; None where none may be used.
+def loops(name: str) -> Any:
+    """Import loops that the host calls: not before, as numba takes half a second.
+
+    They know 64 bits, of which all that the host does is.
 
     Args:
         name: of a module of `jaxgrow.kernels`.
-        points: that they would work on; they know 64 bits only.
     """
-    if points is not None and points.dtype != np.float64:
-        return None
-    return import_module(f"jaxgrow.kernels.{name}") if wanted() else None
+    return import_module(f"jaxgrow.kernels.{name}")

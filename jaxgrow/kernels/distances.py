@@ -1,4 +1,4 @@
-"""Exact distances of one pair, as in `jaxgrow.mesh.proximity`, for compiled loops."""
+"""Exact distances of points to triangles and of segments, for `jaxgrow.mesh`."""
 
 import math
 from typing import no_type_check
@@ -72,6 +72,40 @@ def to_triangle(
                 total = of_a + of_b + of_c
                 return abs(height), of_a / total, of_b / total, of_c / total
     return math.sqrt(best), at_a, at_b, at_c
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def to_triangles(
+    points: np.ndarray, corners: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distance of point i to triangle i, and the weights of its corners at the foot.
+
+    Args:
+        points: positions.
+        corners: three rows of each triangle.
+    """
+    distance, weights = np.zeros(len(points)), np.zeros((len(points), 3))
+    for i in range(len(points)):
+        a, b, c = 3 * i, 3 * i + 1, 3 * i + 2
+        gap, at_a, at_b, at_c = to_triangle(points, i, corners, a, b, c)
+        distance[i] = gap
+        weights[i, 0], weights[i, 1], weights[i, 2] = at_a, at_b, at_c
+    return distance, weights
+
+
+@njit(cache=True, error_model="numpy")
+@no_type_check
+def of_segments(ends: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Distance of both segments of each row of four ends, and the shares on them."""
+    count = len(ends)
+    distance, on_first, on_second = np.zeros(count), np.zeros(count), np.zeros(count)
+    for i in range(count):
+        row = ends[i]
+        found = closest_of_segments(row[0], row[1], row[2], row[3])
+        distance[i] = math.sqrt(found[3])
+        on_first[i], on_second[i] = found[4], found[5]
+    return distance, on_first, on_second
 
 
 @njit(cache=True, error_model="numpy")

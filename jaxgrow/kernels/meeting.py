@@ -7,13 +7,11 @@ import numpy as np
 from numba import njit
 
 
-TOUCH = 1e-10
-"""As in `jaxgrow.mesh.intersection`."""
-
-
 @njit(cache=True, error_model="numpy")
 @no_type_check
-def _separates(a: np.ndarray, b: np.ndarray, x: float, y: float, z: float) -> bool:
+def _separates(
+    a: np.ndarray, b: np.ndarray, x: float, y: float, z: float, touch: float
+) -> bool:
     """Whether the shadows of two triangles on a direction are apart."""
     length = math.sqrt(x * x + y * y + z * z)
     if length <= 1e-12:
@@ -25,7 +23,7 @@ def _separates(a: np.ndarray, b: np.ndarray, x: float, y: float, z: float) -> bo
     s = b[0, 0] * x + b[0, 1] * y + b[0, 2] * z
     t = b[1, 0] * x + b[1, 1] * y + b[1, 2] * z
     u = b[2, 0] * x + b[2, 1] * y + b[2, 2] * z
-    return max(min(p, q, r) - max(s, t, u), min(s, t, u) - max(p, q, r)) > TOUCH
+    return max(min(p, q, r) - max(s, t, u), min(s, t, u) - max(p, q, r)) > touch
 
 
 @njit(cache=True)
@@ -46,12 +44,13 @@ def _side(t: np.ndarray, k: int) -> tuple[float, float, float]:
 
 @njit(cache=True, error_model="numpy")
 @no_type_check
-def meet(a: np.ndarray, b: np.ndarray) -> bool:
+def meet(a: np.ndarray, b: np.ndarray, touch: float) -> bool:
     """Whether two triangles meet, see `jaxgrow.mesh.intersection.meeting`.
 
     Args:
         a: corners. Overwritten.
         b: corners. Overwritten.
+        touch: gap, relative to the extent of both, below which they meet.
     """
     size = 0.0
     for k in range(3):
@@ -65,7 +64,7 @@ def meet(a: np.ndarray, b: np.ndarray) -> bool:
                 a[i, k], b[i, k] = a[i, k] / size, b[i, k] / size
     nx, ny, nz = _cross(*_side(a, 0), *_side(a, 1))
     mx, my, mz = _cross(*_side(b, 0), *_side(b, 1))
-    if _separates(a, b, nx, ny, nz) or _separates(a, b, mx, my, mz):
+    if _separates(a, b, nx, ny, nz, touch) or _separates(a, b, mx, my, mz, touch):
         return False
     # a segment has no normal: in the plane of the other triangle it needs that one
     if nx == 0.0 and ny == 0.0 and nz == 0.0:
@@ -74,14 +73,25 @@ def meet(a: np.ndarray, b: np.ndarray) -> bool:
         mx, my, mz = nx, ny, nz
     for i in range(3):
         x, y, z = _side(a, i)
-        if _separates(a, b, *_cross(nx, ny, nz, x, y, z)):
+        if _separates(a, b, *_cross(nx, ny, nz, x, y, z), touch):
             return False
-        if _separates(a, b, *_cross(mx, my, mz, *_side(b, i))):
+        if _separates(a, b, *_cross(mx, my, mz, *_side(b, i)), touch):
             return False
         for j in range(3):
-            if _separates(a, b, *_cross(x, y, z, *_side(b, j))):
+            if _separates(a, b, *_cross(x, y, z, *_side(b, j)), touch):
                 return False
     return True
+
+
+@njit(cache=True)
+@no_type_check
+def meeting(one: np.ndarray, other: np.ndarray, touch: float) -> np.ndarray:
+    """Whether triangle i of one list meets triangle i of the other, see `meet`."""
+    result, a, b = np.zeros(len(one), np.bool_), np.zeros((3, 3)), np.zeros((3, 3))
+    for i in range(len(one)):
+        a[:], b[:] = one[i], other[i]
+        result[i] = meet(a, b, touch)
+    return result
 
 
 @njit(cache=True)
@@ -101,6 +111,7 @@ def _hinged_meet(
     other: np.ndarray,
     a: np.ndarray,
     b: np.ndarray,
+    touch: float,
 ) -> bool:
     """Whether the side of one opposite to the vertex that both share meets the other.
 
@@ -110,6 +121,7 @@ def _hinged_meet(
         other: of another.
         a: room for a triangle.
         b: likewise.
+        touch: see `meet`.
     """
     at = 0
     while one[at] != other[0] and one[at] != other[1] and one[at] != other[2]:
@@ -117,7 +129,7 @@ def _hinged_meet(
     p, q = one[(at + 1) % 3], one[(at + 2) % 3]
     _put(a, vertices, p, q, q)
     _put(b, vertices, other[0], other[1], other[2])
-    return meet(a, b)
+    return meet(a, b, touch)
 
 
 @njit(cache=True, error_model="numpy")
@@ -149,7 +161,7 @@ def _bounds(
 @njit(cache=True, error_model="numpy")
 @no_type_check
 def intersecting(
-    vertices: np.ndarray, faces: np.ndarray, first: int
+    vertices: np.ndarray, faces: np.ndarray, first: int, touch: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pairs of faces that intersect, as of `intersecting_pairs`, in no order.
 
@@ -159,6 +171,7 @@ def intersecting(
         vertices: positions.
         faces: of the mesh.
         first: number of faces of which one is in every pair.
+        touch: gap, relative to the largest extent of a pair, below which it meets.
 
     Returns:
         Pairs that share no vertex, and pairs that share one.
@@ -170,7 +183,7 @@ def intersecting(
         if count and high[k].max() - low[k].min() > most:
             axis, most = k, high[k].max() - low[k].min()
         for f in range(count):
-            slack = max(slack, TOUCH * (high[k, f] - low[k, f]))
+            slack = max(slack, touch * (high[k, f] - low[k, f]))
     if not radius.any():
         return np.zeros((0, 2), np.int64), np.zeros((0, 2), np.int64)
     order = np.argsort(low[axis])
@@ -195,16 +208,16 @@ def intersecting(
             for k in range(3):
                 for m in range(3):
                     shared += faces[f, k] == faces[g, m]
-            if shared > 1 or not _close(low, high, centre, radius, f, g):
+            if shared > 1 or not _close(low, high, centre, radius, f, g, touch):
                 continue
             if shared == 0:
                 _put(a, vertices, faces[f, 0], faces[f, 1], faces[f, 2])
                 _put(b, vertices, faces[g, 0], faces[g, 1], faces[g, 2])
-                if meet(a, b):
+                if meet(a, b, touch):
                     apart.append((f, g))
-            elif _hinged_meet(vertices, faces[f], faces[g], a, b) or _hinged_meet(
-                vertices, faces[g], faces[f], a, b
-            ):
+            elif _hinged_meet(
+                vertices, faces[f], faces[g], a, b, touch
+            ) or _hinged_meet(vertices, faces[g], faces[f], a, b, touch):
                 corner.append((f, g))
     return _rows(apart), _rows(corner)
 
@@ -218,16 +231,17 @@ def _close(
     radius: np.ndarray,
     f: int,
     g: int,
+    touch: float,
 ) -> bool:
     """Whether the boxes and the spheres of two faces meet."""
     slack, square = 0.0, 0.0
     for k in range(3):
-        slack = max(slack, TOUCH * (high[k, f] - low[k, f]))
+        slack = max(slack, touch * (high[k, f] - low[k, f]))
         square += (centre[k, f] - centre[k, g]) ** 2
     for k in range(3):
         if low[k, f] > high[k, g] + slack or low[k, g] > high[k, f] + slack:
             return False
-    return math.sqrt(square) <= (radius[f] + radius[g]) * (1 + TOUCH)
+    return math.sqrt(square) <= (radius[f] + radius[g]) * (1 + touch)
 
 
 @njit(cache=True)

@@ -27,11 +27,13 @@ def any_same(points: np.ndarray, chosen: np.ndarray) -> bool:
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         if not chosen[i] or x != x or y != y or z != z:
             continue
-        mixed = whole[i, 0] * np.uint64(0x9E3779B97F4A7C15)
-        mixed = (mixed ^ (mixed >> np.uint64(32))) + whole[i, 1]
-        mixed *= np.uint64(0xBF58476D1CE4E5B9)
-        mixed = (mixed ^ (mixed >> np.uint64(29))) + whole[i, 2]
-        mixed *= np.uint64(0x94D049BB133111EB)
+        # by shifts alone: of a product that is too large plain Python would warn
+        mixed = np.uint64(0)
+        for axis in range(3):
+            mixed ^= whole[i, axis]
+            mixed ^= mixed << np.uint64(13)
+            mixed ^= mixed >> np.uint64(7)
+            mixed ^= mixed << np.uint64(17)
         place = np.int64(mixed >> np.uint64(33)) & mask
         while table[place] >= 0:
             j = table[place]

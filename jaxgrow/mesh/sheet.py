@@ -7,21 +7,14 @@ first, then the walls' that it does not have already.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import KDTree
 
 from jaxgrow import kernels
 from jaxgrow.mesh.intersection import intersecting_pairs
-from jaxgrow.mesh.proximity import closest_on_segments, closest_on_triangles
 from jaxgrow.mesh.quality import lengths
 from jaxgrow.mesh.surface import Surface
 from jaxgrow.mesh.topology import build_topology
@@ -47,15 +40,7 @@ class Walls:
         """Faces that may be within a distance of some point."""
         if not len(self.faces) or not len(points):
             return np.zeros(0, dtype=np.int64)
-        loops = kernels.loops("walls", points)
-        if loops is not None:
-            return loops.near(*self._bounds, points, distance)
-        lowest, highest, centre, radius = self._bounds
-        low, high = points.min(axis=0) - distance, points.max(axis=0) + distance
-        box = np.all(highest >= low, axis=1) & np.all(lowest <= high, axis=1)
-        candidates = np.flatnonzero(box)
-        nearest, _ = KDTree(points).query(centre[candidates])
-        return candidates[nearest <= distance + radius[candidates]]
+        return kernels.loops("walls").near(*self._bounds, points, distance)
 
     @cached_property
     def _bounds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -174,59 +159,7 @@ def encounters(sheet: Sheet, *, apart: float, local: float, along: float) -> Enc
         All pairs, by exact distance.
     """
     edges, length = _edges(sheet)
-    loops = kernels.loops("encounters", sheet.vertices)
-    if loops is not None:
-        return _by_loops(loops, sheet, edges, length, apart, local, along)
-    joined = _joined(sheet, edges, length, along)
-    reach = max(apart, local)
-
-    # what is too far is left out as soon as that is known: most candidates are
-    vertex, face = _vertex_face_candidates(sheet, reach)
-    corners = sheet.faces[face]
-    near = sheet.moving[vertex] | sheet.moving[corners].any(axis=1)
-    near &= ~(corners == vertex[:, None]).any(axis=1)
-    vertex, corners = vertex[near], corners[near]
-    distance, _ = closest_on_triangles(sheet.vertices[vertex], sheet.vertices[corners])
-    near = distance < reach
-    vertex, corners, distance = vertex[near], corners[near], distance[near]
-    far = np.logical_not(joined[vertex[:, None], corners].any(axis=1))
-    order = np.flatnonzero(distance < np.where(far, apart, local))
-    order = order[np.argsort(vertex[order], kind="stable")]
-
-    first, second = _edge_candidates(sheet.vertices[edges], length, reach)
-    moving = np.asarray(sheet.moving[edges].any(axis=1))
-    (a, b), (c, d) = edges[first].T, edges[second].T
-    near = (moving[first] | moving[second]) & (a != c) & (a != d) & (b != c) & (b != d)
-    four = np.stack([a[near], b[near], c[near], d[near]], axis=1)
-    between, _, _ = closest_on_segments(
-        sheet.vertices[four[:, :2]], sheet.vertices[four[:, 2:]]
-    )
-    near = between < reach
-    four, between = four[near], between[near]
-    paths = joined[four[:, :2, None], four[:, None, 2:]]
-    edge_far = np.logical_not(paths.any(axis=(1, 2)))
-    kept = between < np.where(edge_far, apart, local)
-    return Encounters(
-        vertex=vertex[order],
-        corners=corners[order],
-        vertex_distance=distance[order],
-        vertex_apart=far[order],
-        edges=four[kept],
-        edge_distance=between[kept],
-        edge_apart=edge_far[kept],
-    )
-
-
-def _by_loops(
-    loops: Any,
-    sheet: Sheet,
-    edges: Int[np.ndarray, "e 2"],
-    length: Float[np.ndarray, " e"],
-    apart: float,
-    local: float,
-    along: float,
-) -> Encounters:
-    """The same as `encounters` by loops."""
+    loops = kernels.loops("encounters")
     vertices, moving = sheet.vertices, sheet.moving
     first, reached = loops.joined(edges, length, len(vertices), along)
     vertex, face, distance, far = loops.vertices_and_faces(
@@ -258,13 +191,8 @@ def distances_of(
         vertices: Positions.
         found: Pairs of vertices with triangles, and of edges.
     """
-    loops = kernels.loops("distances", vertices)
-    if loops is not None:
-        return loops.of_pairs(vertices, found.vertex, found.corners, found.edges)
-    corners, ends = vertices[found.corners], vertices[found.edges]
-    to_triangle, _ = closest_on_triangles(vertices[found.vertex], corners)
-    between, _, _ = closest_on_segments(ends[:, :2], ends[:, 2:])
-    return to_triangle, between
+    loops = kernels.loops("distances")
+    return loops.of_pairs(vertices, found.vertex, found.corners, found.edges)
 
 
 def nearest_apart(sheet: Sheet, *, within: float, along: float) -> float:
@@ -279,22 +207,12 @@ def nearest_apart(sheet: Sheet, *, within: float, along: float) -> float:
         The distance, infinite if there is none up to ``within``.
     """
     edges, length = _edges(sheet)
-    loops = kernels.loops("encounters", sheet.vertices)
-    if loops is not None:
-        joined = loops.joined(edges, length, len(sheet.vertices), along)
-        _, _, distance, _ = loops.vertices_and_faces(
-            sheet.vertices, sheet.faces, sheet.moving, *joined, within, -1.0
-        )
-        return float(distance.min(initial=np.inf))
-    vertex, face = _vertex_face_candidates(sheet, within)
-    corners = sheet.faces[face]
-    near = sheet.moving[vertex] | sheet.moving[corners].any(axis=1)
-    joined = _joined(sheet, edges, length, along)
-    near &= ~joined[vertex[:, None], corners].any(axis=1)
-    vertex, corners = vertex[near], corners[near]
-    distance, _ = closest_on_triangles(sheet.vertices[vertex], sheet.vertices[corners])
-    least = float(distance.min(initial=np.inf))
-    return least if least < within else float("inf")
+    loops = kernels.loops("encounters")
+    joined = loops.joined(edges, length, len(sheet.vertices), along)
+    _, _, distance, _ = loops.vertices_and_faces(
+        sheet.vertices, sheet.faces, sheet.moving, *joined, within, -1.0
+    )
+    return float(distance.min(initial=np.inf))
 
 
 def _edges(
@@ -303,52 +221,3 @@ def _edges(
     """All edges, and their lengths."""
     edges = build_topology(sheet.faces, len(sheet.vertices)).edges
     return edges, lengths(sheet.vertices[edges[:, 1]] - sheet.vertices[edges[:, 0]])
-
-
-def _joined(
-    sheet: Sheet,
-    edges: Int[np.ndarray, "e 2"],
-    length: Float[np.ndarray, " e"],
-    along: float,
-) -> Bool[np.ndarray, "m m"]:
-    """Which vertices a path over edges joins that is not longer than a bound."""
-    graph = coo_array(
-        (length, (edges[:, 0], edges[:, 1])), shape=(len(sheet.vertices),) * 2
-    ).tocsr()
-    return np.isfinite(dijkstra(graph, directed=False, limit=along))
-
-
-def _vertex_face_candidates(
-    sheet: Sheet, reach: float
-) -> tuple[Int[np.ndarray, " c"], Int[np.ndarray, " c"]]:
-    """Vertices and faces whose distance may be below a bound."""
-    corners = sheet.vertices[sheet.faces]
-    centre = corners.mean(axis=1)
-    radius = lengths(corners - centre[:, None]).max(axis=1)
-    found = KDTree(sheet.vertices).query_ball_point(centre, reach + radius)
-    count = np.fromiter(map(len, found), dtype=np.int64, count=len(found))
-    face = np.repeat(np.arange(len(sheet.faces)), count)
-    return _chained(found), face
-
-
-def _edge_candidates(
-    ends: Float[np.ndarray, "e 2 3"], length: Float[np.ndarray, " e"], reach: float
-) -> tuple[Int[np.ndarray, " c"], Int[np.ndarray, " c"]]:
-    """Pairs of edges whose distance may be below a bound, by their middles.
-
-    Each edge is asked for those that are not longer, so a few long ones (of a coarse
-    wall) do not widen the search for all.
-    """
-    order = np.argsort(length, kind="stable")
-    middle = 0.5 * (ends[order, 0] + ends[order, 1])
-    found = KDTree(middle).query_ball_point(middle, reach + length[order])
-    count = np.fromiter(map(len, found), dtype=np.int64, count=len(found))
-    first = np.repeat(np.arange(len(found)), count)
-    second = _chained(found)
-    below = second < first
-    return order[first[below]], order[second[below]]
-
-
-def _chained(lists: Iterable[list[int]]) -> Int[np.ndarray, " c"]:
-    """All of some lists, one after the other."""
-    return np.fromiter(itertools.chain.from_iterable(lists), np.int64)

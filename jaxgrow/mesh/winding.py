@@ -11,9 +11,6 @@ from jaxgrow import kernels
 ON_SURFACE = 1e-13
 """Triple product over the lengths' product, below which a point is on the surface."""
 
-_CHUNK = 20_000
-"""Pairs of point and face at a time: what stays in the cache."""
-
 
 def winding_number(
     points: Float[np.ndarray, "n 3"],
@@ -37,42 +34,11 @@ def winding_number(
     Returns:
         The winding number at each point, dimensionless.
     """
-    loops = kernels.loops("winding", points)
-    if loops is not None:
-        corners = vertices[faces].reshape(-1, 9).T.astype(float, order="C")
-        return loops.numbers(np.array(points), corners, ON_SURFACE)
-    used, index = np.unique(faces, return_inverse=True)
-    index = index.reshape(-1, 3)
-    result = np.zeros(len(points))
-    step = max(1, _CHUNK // max(len(faces), 1))
-    for start in range(0, len(points), step):
-        part = slice(start, start + step)
-        ray = vertices[used][None] - points[part, None]
-        length = np.sqrt(np.einsum("pvi,pvi->pv", ray, ray))
-        x, y, z = (np.ascontiguousarray(ray[..., k])[:, index] for k in range(3))
-        size = length[:, index]
-        ax, bx, cx = x[..., 0], x[..., 1], x[..., 2]
-        ay, by, cy = y[..., 0], y[..., 1], y[..., 2]
-        az, bz, cz = z[..., 0], z[..., 1], z[..., 2]
-        a, b, c = size[..., 0], size[..., 1], size[..., 2]
-        top = (
-            ax * (by * cz - bz * cy)
-            + ay * (bz * cx - bx * cz)
-            + az * (bx * cy - by * cx)
-        )
-        bottom = (
-            a * b * c
-            + (ax * bx + ay * by + az * bz) * c
-            + (bx * cx + by * cy + bz * cz) * a
-            + (cx * ax + cy * ay + cz * az) * b
-        )
-        # In a face, an edge or a vertex the angle is undefined: rounding would choose a
-        # side. Left out, it makes the sum a fraction, which is neither in nor out.
-        size = ON_SURFACE * a * b * c
-        on = (np.abs(top) <= size) & (bottom <= size)
-        angle = np.where(on, 0.0, np.arctan2(top, bottom))
-        result[part] = angle.sum(axis=1) / (2.0 * np.pi)
-    return result
+    corners = np.asarray(vertices, float)[faces].reshape(-1, 9).T.copy()
+    # a copy: a second loop would be compiled for arrays that are read only
+    return kernels.loops("winding").numbers(
+        np.array(points, float), corners, ON_SURFACE
+    )
 
 
 def particles_outside(

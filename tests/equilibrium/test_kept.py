@@ -15,8 +15,6 @@ from jaxgrow.state import Species
 from jaxgrow.transfer import put_particles
 
 
-pytest.importorskip("numba")
-
 COUNT, SLOTS = 900, 960
 
 ROUNDING = 640 * np.finfo(float).eps

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import jaxgrow as jg
-from jaxgrow import vicinity
 from jaxgrow.equilibrium import kept, local
 from jaxgrow.equilibrium.listing import allocate_lists
 from jaxgrow.equilibrium.part import Mask
@@ -185,7 +184,6 @@ def test_forces_are_those_on_everything(ball):
 
 
 def test_forces_are_evaluated_on_everything_once_and_then_kept(ball, monkeypatch):
-    pytest.importorskip("numba")
     first = relax(divided(ball, 0), tolerance=1e-2, method="local")
 
     def never(*_):
@@ -228,11 +226,9 @@ def test_lists_may_be_used_again_and_by_other_methods(ball):
 
 
 def test_without_loops_it_comes_to_the_same(ball, monkeypatch):
-    pytest.importorskip("numba")
     start = divided(ball, 0)
     ends = [relax(start, tolerance=1e-2, method="local").state[0].position]
-    for module in (vicinity, kept):
-        monkeypatch.setattr(module, "loops", lambda _: None)
+    monkeypatch.setattr(kept, "loops", lambda _: None)
     ends.append(relax(start, tolerance=1e-2, method="local").state[0].position)
     np.testing.assert_allclose(*ends, rtol=0, atol=1e-9)
 

@@ -17,8 +17,6 @@ from jaxgrow.parameters import Parameters
 from jaxgrow.state import Particles
 
 
-pytest.importorskip("numba")
-
 COUNT = 60
 CALL = "jaxgrow_contact"
 

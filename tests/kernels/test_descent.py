@@ -22,8 +22,6 @@ from jaxgrow.state import Nodes, Particles
 from jaxgrow.transfer import parked, put_membrane
 
 
-pytest.importorskip("numba")
-
 SLOTS = 160
 LARGEST = 0.1
 

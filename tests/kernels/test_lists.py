@@ -9,8 +9,6 @@ from jaxgrow import cells
 from jaxgrow.neighbors import _near_by_scan, allocate, find_near
 
 
-pytest.importorskip("numba")
-
 RADIUS = 2.4
 
 

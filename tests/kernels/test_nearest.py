@@ -1,15 +1,13 @@
-"""The tree of boxes finds the nearest points that numpy finds."""
+"""The tree of boxes finds the nearest of all faces."""
 
 import numpy as np
 import pytest
 
-from jaxgrow import kernels
-from jaxgrow.mesh.proximity import closest_on_triangles, nearest_on_mesh
+from jaxgrow.mesh.proximity import nearest_on_mesh
 
+from .. import brute_force
 from .sheets import of_every_kind
 
-
-pytest.importorskip("numba")
 
 MESHES = {n: s for n, s in of_every_kind().items() if len(s.faces)}
 
@@ -29,34 +27,19 @@ def points_around(mesh, rng):
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_nearest_points_are_those_of_numpy(name, monkeypatch):
+def test_nearest_points_are_those_of_all_faces(name):
     mesh = MESHES[name]
     points = points_around(mesh, np.random.default_rng(0))
     found = nearest_on_mesh(points, mesh.vertices, mesh.faces)
-    with monkeypatch.context() as patch:
-        patch.setattr(kernels, "wanted", lambda: False)
-        expected = nearest_on_mesh(points, mesh.vertices, mesh.faces)
-    np.testing.assert_allclose(
-        found.distance, expected.distance, rtol=1e-12, atol=1e-13
-    )
+    every = brute_force.nearest(points, mesh.vertices, mesh.faces)
+    wanted = {"rtol": 1e-12, "atol": 1e-13}
+    np.testing.assert_allclose(found.distance, every.min(axis=1), **wanted)
     to_closest = np.linalg.norm(points - found.closest, axis=1)
     np.testing.assert_allclose(to_closest, found.distance, rtol=1e-9, atol=1e-12)
     # of equally near faces any one is right
-    there, _ = closest_on_triangles(points, mesh.vertices[mesh.faces[found.face]])
-    np.testing.assert_allclose(there, expected.distance, rtol=1e-12, atol=1e-13)
-    assert found.face.dtype == expected.face.dtype
-
-
-@pytest.mark.parametrize("name", MESHES)
-def test_nothing_is_nearer(name):
-    mesh = MESHES[name]
-    points = points_around(mesh, np.random.default_rng(1))
-    found = nearest_on_mesh(points, mesh.vertices, mesh.faces)
-    for corners in mesh.vertices[mesh.faces]:
-        distance, _ = closest_on_triangles(
-            points, np.broadcast_to(corners, (len(points), 3, 3))
-        )
-        assert (found.distance <= distance * (1 + 1e-12) + 1e-13).all()
+    there = every[np.arange(len(points)), found.face]
+    np.testing.assert_allclose(there, found.distance, **wanted)
+    assert found.face.dtype == np.int64
 
 
 def test_of_equally_near_faces_the_first_is_found():

@@ -5,13 +5,9 @@ import pkgutil
 from importlib import import_module
 
 import pytest
+from numba.core.registry import CPUDispatcher
 
 import jaxgrow.kernels
-
-
-pytest.importorskip("numba")
-
-from numba.core.registry import CPUDispatcher
 
 
 LOOPS = {

@@ -17,9 +17,6 @@ from jaxgrow.state import Particles
 from jaxgrow.transfer import get, parked
 
 
-pytest.importorskip("numba")
-
-
 def places(count, seed=0):
     return np.random.default_rng(seed).uniform(0, (count / 1.2) ** (1 / 3), (count, 3))
 

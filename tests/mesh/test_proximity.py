@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.optimize import minimize
 
-from jaxgrow import kernels
-from jaxgrow.mesh import proximity
-from jaxgrow.mesh.proximity import closest_on_triangles, nearest_on_mesh, Proximity
+from jaxgrow.mesh.proximity import closest_on_triangles, nearest_on_mesh
+
+from .. import brute_force
 
 
 TRIANGLE = np.array([[0.0, 0, 0], [4, 0, 0], [0, 3, 0]])
@@ -81,12 +81,6 @@ def test_distances_agree_with_constrained_minimisation():
         assert distance[0] == pytest.approx(np.sqrt(best.fun), abs=1e-6)
 
 
-def _everything(points, vertices, faces):
-    pairs = np.repeat(points, len(faces), axis=0)
-    triangles = np.tile(vertices[faces], (len(points), 1, 1))
-    return closest_on_triangles(pairs, triangles)[0].reshape(len(points), -1)
-
-
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), spread=st.sampled_from([0.0, 1.0, 4.0]))
 def test_the_nearest_face_is_found_among_triangles_of_all_sizes(seed, spread):
@@ -96,61 +90,20 @@ def test_the_nearest_face_is_found_among_triangles_of_all_sizes(seed, spread):
     vertices, faces = corners.reshape(-1, 3), np.arange(180).reshape(-1, 3)
     points = 4 * rng.normal(size=(50, 3))
     distance, face, closest = nearest_on_mesh(points, vertices, faces)
-    every = _everything(points, vertices, faces)
+    every = brute_force.nearest(points, vertices, faces)
     np.testing.assert_allclose(distance, every.min(axis=1), rtol=1e-12)
     np.testing.assert_allclose(distance, every[np.arange(50), face], rtol=1e-12)
     assert np.allclose(np.linalg.norm(points - closest, axis=1), distance, rtol=1e-6)
 
 
-def plate(side):
-    """A flat square of that many cells a side."""
-    x, y = np.meshgrid(np.arange(side + 1.0), np.arange(side + 1.0))
-    vertices = np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3)
-    at = np.arange((side + 1) ** 2).reshape(side + 1, side + 1)
-    a, b, c, d = (
-        part.ravel() for part in (at[:-1, :-1], at[:-1, 1:], at[1:, 1:], at[1:, :-1])
-    )
-    return vertices, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-
-
-def test_few_triangles_are_measured_from_far_away(monkeypatch):
-    vertices, faces = plate(40)
-    points = np.random.default_rng(0).uniform([5, 5, -90], [35, 35, -70], (300, 3))
-    measured = []
-
-    def counting(points, triangles):
-        measured.append(len(points))
-        return closest_on_triangles(points, triangles)
-
-    monkeypatch.setattr(kernels, "wanted", lambda: False)
-    monkeypatch.setattr(proximity, "closest_on_triangles", counting)
-    distance, _, closest = nearest_on_mesh(points, vertices, faces)
-    np.testing.assert_allclose(distance, -points[:, 2], rtol=1e-15)
-    np.testing.assert_allclose(closest[:, :2], points[:, :2], atol=1e-12)
-    # spheres around triangles would leave hundreds for each point
-    assert sum(measured) < 12 * len(points)
-
-
-def test_points_in_many_portions_have_the_same_answers(monkeypatch, sphere):
-    monkeypatch.setattr(kernels, "wanted", lambda: False)
-    mesh = sphere(2)
-    points = 3 * np.random.default_rng(0).normal(size=(50, 3))
-    wanted = nearest_on_mesh(points, mesh.vertices, mesh.faces)
-    monkeypatch.setattr(proximity, "_AT_ONCE", 7)
-    found = Proximity(mesh.vertices, mesh.faces).nearest(points)
-    for one, other in zip(found, wanted, strict=True):
-        np.testing.assert_array_equal(one, other)
-
-
 @pytest.mark.parametrize("flat", [1.0, 1e-6, 1e-12, 0.0])
-def test_no_triangle_is_missed_on_the_rim_of_its_disc(flat):
-    # corners lie on their discs' rims, and far points see all discs edge on
+def test_no_triangle_is_missed_from_far_away_in_its_plane(flat):
     rng = np.random.default_rng(1)
     corners = rng.normal(size=(200, 3, 3)) * [1, 1, flat] + [1e3, -1e3, 0]
     vertices, faces = corners.reshape(-1, 3), np.arange(600).reshape(-1, 3)
     points = 100 * rng.normal(size=(50, 3)) * [1, 1, flat] + [1e3, -1e3, 0]
     distance, face, _ = nearest_on_mesh(points, vertices, faces)
-    every = _everything(points, vertices, faces)
+    every = brute_force.nearest(points, vertices, faces)
     np.testing.assert_allclose(distance, every.min(axis=1), rtol=1e-12)
     np.testing.assert_allclose(distance, every[np.arange(50), face], rtol=1e-12)
 
