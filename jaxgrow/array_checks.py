@@ -37,6 +37,7 @@ RANGES: dict[str, tuple[int, int | str]] = {
     "species": (0, len(Species)),
     "faces": (0, "vertices"),
     "edges": (0, "vertices"),
+    "opposite": (-1, "vertices"),
     "source": (-1, "vertices"),
 }
 """The least value of a field, and one more than the largest: a number, or the rows of
@@ -286,7 +287,9 @@ def _signature(body: Particles | Membrane | None) -> Any:
         return None
     try:
         arrays = [getattr(body, leaf.name) for leaf in _leaves(type(body))]
-        return tuple([(type(a), a.shape, a.dtype) for a in arrays])
+        rest: dict[str, Any] = getattr(body, "rest", {})
+        known = tuple([(type(a), a.shape, a.dtype) for a in (*arrays, *rest.values())])
+        return *known, *rest
     except AttributeError:  # of lists and numbers
         return object()
 
@@ -311,7 +314,7 @@ def _put_right(body: str, given: Body, precision: np.dtype) -> Body:
         "Bool": np.dtype(bool),
     }
     sizes: dict[str, int] = {}
-    changed: dict[str, Array] = {}
+    changed: dict[str, Any] = {}
     for leaf in _leaves(type(given)):
         name, own = f"{body}.{leaf.name}", getattr(given, leaf.name)
         array = on_device(name, own)
@@ -319,7 +322,30 @@ def _put_right(body: str, given: Body, precision: np.dtype) -> Body:
         array = of_kind(name, array, leaf.kind, dtypes[leaf.kind])
         if array is not own:
             changed[leaf.name] = array
+    if isinstance(given, Membrane):
+        rest = _put_rest_right(given.rest, sizes, precision)
+        if any(rest[name] is not own for name, own in given.rest.items()):
+            changed["rest"] = rest
     return dataclasses.replace(given, **changed) if changed else given
+
+
+def _put_rest_right(
+    given: dict[str, Any], sizes: dict[str, int], precision: np.dtype
+) -> dict[str, Array]:
+    """Rest data of each term: a row for every edge, or for every face.
+
+    Raises:
+        ValueError: they have another shape, or are no real numbers.
+    """
+    right = {}
+    for term, own in given.items():
+        name = f"membrane.rest[{term!r}]"
+        array = on_device(name, own)
+        if array.ndim != 2 or array.shape[0] not in (sizes["e"], sizes["f"]):
+            wanted = f"({sizes['e']}, q) or ({sizes['f']}, q)"
+            _refuse_shape(name, array.shape, wanted, "one row for every edge or face")
+        right[term] = of_kind(name, array, "Float", precision)
+    return right
 
 
 def _check_ranges(body: str, given: Particles | Membrane) -> None:

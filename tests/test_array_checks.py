@@ -23,6 +23,7 @@ FIELDS = {
     f"{body}.{field.name}": (body, field.name)
     for body, of in (("particles", Particles), ("membrane", Membrane))
     for field in dataclasses.fields(of)
+    if field.name != "rest"
 }
 MASKS = [name for name in FIELDS if name.endswith(("alive", "held", "pinned"))]
 WHOLE = ["particles.species", "membrane.faces", "membrane.edges", "membrane.source"]
@@ -120,7 +121,7 @@ def test_array_with_a_row_too_many_is_refused(name):
         ("particles.position", (3, 2), r"\(3, 2\); it must be \(n, 3\) \(one row for"),
         ("particles.species", (1,), r"\(1,\); it must be \(3,\) .* every particle"),
         ("membrane.faces", (128,), r"\(128,\); it must be \(f, 3\) .* every face"),
-        ("membrane.rest_length", (), r"\(\); it must be \(208,\) .* every edge"),
+        ("membrane.opposite", (), r"\(\); it must be \(208, 2\) .* every edge"),
         ("membrane.source", (1,), r"\(1,\); it must be \(\) \(a single number"),
     ],
 )
@@ -216,7 +217,7 @@ def test_arrays_of_numpy_and_lists_are_put_on_the_device(make):
 
 def test_numbers_of_32_bits_get_the_precision_of_the_positions():
     length = SHEET.rest_length.astype(jnp.float32)
-    _, membrane = accept_bodies(*changed("membrane.rest_length", length))
+    _, membrane = accept_bodies(CLOUD, SHEET.with_rest_length(length))
     assert membrane.rest_length.dtype == jnp.float64
     np.testing.assert_allclose(membrane.rest_length, SHEET.rest_length, rtol=1e-7)
 
@@ -273,6 +274,13 @@ def test_array_on_the_device_is_looked_at_once(monkeypatch):
     assert sum(array is faces for array in looked) == 1
 
 
+@pytest.mark.parametrize("rows", [0, 1, 207, 209])
+def test_rest_data_with_other_rows_than_edges_or_faces_are_refused(rows):
+    wrong = SHEET.with_rest({"springs": jnp.zeros((rows, 1))})
+    with pytest.raises(ValueError, match=r"membrane.rest\['springs'\] has the shape"):
+        jg.relax(None, wrong)
+
+
 # traced values
 
 
@@ -280,11 +288,7 @@ def moved(scale):
     """Cloud and sheet with positions and rest lengths that a number scales."""
     return (
         CLOUD.at(scale * CLOUD.position),
-        eqx.tree_at(
-            lambda m: (m.vertices, m.rest_length),
-            SHEET,
-            (scale * SHEET.vertices, scale * SHEET.rest_length),
-        ),
+        SHEET.at(scale * SHEET.vertices).with_rest_length(scale * SHEET.rest_length),
     )
 
 
