@@ -46,7 +46,6 @@ from jaxgrow.energy.contact import (
 from jaxgrow.energy.distance import point_triangle_distance
 from jaxgrow.energy.pair import pair_force
 from jaxgrow.energy.springs import spring_energy
-from jaxgrow.mesh.topology import build_topology
 from jaxgrow.transfer import put_particles
 
 
@@ -129,18 +128,11 @@ def bumpy_sheet(side: int, rng: np.random.Generator) -> jg.Membrane:
     a, b = index[:-1, :-1].ravel(), index[:-1, 1:].ravel()
     c, d = index[1:, 1:].ravel(), index[1:, :-1].ravel()
     faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-    edges = build_topology(faces, len(vertices)).edges
-    length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-    return jg.Membrane(
-        vertices=jnp.asarray(vertices),
-        faces=jnp.asarray(faces),
-        edges=jnp.asarray(edges),
-        rest_length=jnp.asarray(length * rng.uniform(0.7, 1.3, len(edges))),
-        vertex_alive=jnp.ones(len(vertices), bool),
-        face_alive=jnp.ones(len(faces), bool),
-        edge_alive=jnp.ones(len(edges), bool),
-        pinned=jnp.zeros(len(vertices), bool),
-        source=jnp.asarray(-1),
+    membrane = jg.make_membrane(vertices, faces, pinned=False)
+    return eqx.tree_at(
+        lambda m: m.rest_length,
+        membrane,
+        membrane.rest_length * rng.uniform(0.7, 1.3, membrane.rest_length.shape),
     )
 
 

@@ -8,10 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxgrow.constructors import make_membrane, make_particles
 from jaxgrow.energy.collision import collision_energy, Collisions
 from jaxgrow.energy.contact import contact_energy, list_contacts, reach
 from jaxgrow.energy.pair import pair_energy
-from jaxgrow.energy.springs import spring_energy
+from jaxgrow.energy.bending import Bending
+from jaxgrow.energy.springs import Springs
+from jaxgrow.energy.term import energy_of_elements
 from jaxgrow.parameters import Parameters
 from jaxgrow.state import Membrane, Nodes, Particles
 
@@ -22,6 +25,8 @@ PARAMETERS = Parameters(
     pretension=0.1,
     contact_adhesion=1.0,
     collision_range=1.5,
+    mixed_adhesion=0.3,
+    bending_stiffness=0.2,
 )
 CONTACTS = 512  # capacity of the lists of contacts
 SIDE = 5  # vertices along a side of the membrane
@@ -60,23 +65,9 @@ def scene():
     vertices += 0.2 * rng.normal(size=vertices.shape)
     position = rng.uniform([0, 0, -1.5], [SIDE - 1, SIDE - 1, -0.1], (COUNT, 3))
     length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-    particles = Particles(
-        jnp.asarray(position),
-        jnp.asarray(rng.integers(0, 2, COUNT)),
-        jnp.ones(COUNT, bool),
-        jnp.zeros(COUNT, bool),
-    )
-    membrane = Membrane(
-        jnp.asarray(vertices),
-        jnp.asarray(faces),
-        jnp.asarray(edges),
-        jnp.asarray(length * rng.uniform(0.7, 1.3, len(edges))),
-        jnp.ones(len(vertices), bool),
-        jnp.ones(len(faces), bool),
-        jnp.ones(len(edges), bool),
-        jnp.zeros(len(vertices), bool),
-        jnp.asarray(-1),
-    )
+    particles = make_particles(position, species=rng.integers(0, 2, COUNT))
+    rest_length = length * rng.uniform(0.7, 1.3, len(edges))
+    membrane = make_membrane(vertices, faces, pinned=False, rest_length=rest_length)
     return Scene(particles, membrane)
 
 
@@ -84,8 +75,13 @@ def _pair(particles, membrane, parameters):
     return pair_energy(particles, dense_list(particles.position.shape[0]), parameters)
 
 
-def _springs(particles, membrane, parameters):
-    return spring_energy(membrane, parameters)
+def _elements(term):
+    def energy(particles, membrane, parameters):
+        nodes = jnp.concatenate([particles.position, membrane.vertices])
+        elements = term.elements(particles, membrane)
+        return energy_of_elements(term, nodes, elements, parameters)
+
+    return energy
 
 
 def _contact(particles, membrane, parameters):
@@ -128,7 +124,8 @@ def _collision(particles, membrane, parameters):
 
 TERMS = {
     "pair": _pair,
-    "springs": _springs,
+    "springs": _elements(Springs()),
+    "bending": _elements(Bending()),
     "contact": _contact,
     "collision": _collision,
 }

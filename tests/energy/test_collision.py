@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxgrow.constructors import make_membrane
 from jaxgrow.energy.a2 import A2
 from jaxgrow.energy.collision import (
     collision_clearances,
@@ -17,7 +18,6 @@ from jaxgrow.energy.collision import (
 from jaxgrow.energy.distance import segment_distance
 from jaxgrow.energy.vectors import split
 from jaxgrow.parameters import Parameters
-from jaxgrow.state import Membrane
 
 
 PARAMETERS = Parameters(collision_range=0.5)
@@ -25,18 +25,7 @@ PARAMETERS = Parameters(collision_range=0.5)
 
 def membrane_of(vertices):
     """A membrane of so many vertices; collisions ask for nothing else of it."""
-    count = len(vertices)
-    return Membrane(
-        jnp.asarray(vertices, float),
-        jnp.zeros((1, 3), int),
-        jnp.zeros((1, 2), int),
-        jnp.zeros(1),
-        jnp.ones(count, bool),
-        jnp.ones(1, bool),
-        jnp.ones(1, bool),
-        jnp.zeros(count, bool),
-        jnp.asarray(-1),
-    )
+    return make_membrane(jnp.asarray(vertices, float), np.zeros((0, 3), int))
 
 
 def pairs(vertices, *, vertex=(), edges=(), apart=True, margin=0.3, still=()):

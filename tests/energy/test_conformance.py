@@ -68,15 +68,16 @@ def test_order_of_everything_is_irrelevant(term, scene):
     vertex = rng.permutation(membrane.vertices.shape[0])
     face = rng.permutation(membrane.faces.shape[0])
     edge = rng.permutation(membrane.edges.shape[0])
-    new_index = np.argsort(vertex)
+    new_index = np.append(np.argsort(vertex), -1)
     mixed = eqx.tree_at(
-        lambda m: (m.vertices, m.faces, m.edges, m.rest_length),
+        lambda m: (m.vertices, m.faces, m.edges, m.opposite, m.rest),
         membrane,
         (
             membrane.vertices[vertex],
             jnp.asarray(np.roll(new_index[membrane.faces][face], 1, axis=1)),
             jnp.asarray(new_index[membrane.edges][edge][:, ::-1].copy()),
-            membrane.rest_length[edge],
+            jnp.asarray(new_index[membrane.opposite][edge][:, ::-1].copy()),
+            {name: rest[edge] for name, rest in membrane.rest.items()},
         ),
     )
     before, slope = term(particles, membrane)
@@ -124,7 +125,11 @@ def padded(scene, extra, garbage):
             more(membrane.vertices, rng.uniform(-1, 4, (extra, 3))),
             more(membrane.faces, rng.integers(0, count, (extra, 3))),
             more(membrane.edges, rng.integers(0, count, (extra, 2))),
-            more(membrane.rest_length, rng.uniform(0, 2, extra)),
+            more(membrane.opposite, rng.integers(-1, count, (extra, 2))),
+            {
+                name: more(rest, rng.uniform(0, 2, (extra, rest.shape[1])))
+                for name, rest in membrane.rest.items()
+            },
             more(membrane.vertex_alive, dead),
             more(membrane.face_alive, dead),
             more(membrane.edge_alive, dead),

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxgrow.constructors import make_membrane, make_particles
 from jaxgrow.energy import spheres
 from jaxgrow.energy.a2 import A2, CUTOFF
 from jaxgrow.energy.contact import (
@@ -277,22 +278,15 @@ def test_list_of_large_and_dead_faces_is_that_of_brute_force(few, monkeypatch):
     centre = rng.uniform([0, 0, -0.5], [8, 8, 0.5], (150, 1, 3))
     size = np.where(np.arange(150) < 5, 6.0, 0.6)[:, None, None]
     corners = centre + size * rng.normal(size=(150, 3, 3))
-    particles = Particles(
-        jnp.asarray(rng.uniform([0, 0, -2], [8, 8, 0], (60, 3))),
-        jnp.zeros(60, int),
+    particles = eqx.tree_at(
+        lambda p: p.alive,
+        make_particles(rng.uniform([0, 0, -2], [8, 8, 0], (60, 3))),
         jnp.asarray(rng.uniform(size=60) < 0.8),
-        jnp.zeros(60, bool),
     )
-    membrane = Membrane(
-        jnp.asarray(corners.reshape(-1, 3)),
-        jnp.arange(450).reshape(-1, 3),
-        jnp.zeros((1, 2), int),
-        jnp.ones(1),
-        jnp.ones(450, bool),
+    membrane = eqx.tree_at(
+        lambda m: m.face_alive,
+        make_membrane(corners.reshape(-1, 3), np.arange(450).reshape(-1, 3)),
         jnp.asarray(rng.uniform(size=150) < 0.8),
-        jnp.ones(1, bool),
-        jnp.zeros(450, bool),
-        jnp.asarray(-1),
     )
     table = brute_force(particles, membrane)
     made = eqx.filter_jit(lambda *given: list_contacts(*given, 1536))
@@ -405,25 +399,8 @@ def test_barrier_repels_without_bound():
 
 def one_particle(height):
     """A particle over the middle of one large triangle."""
-    particles = Particles(
-        jnp.asarray([[0.0, 0.0, height]]),
-        jnp.zeros(1, int),
-        jnp.ones(1, bool),
-        jnp.zeros(1, bool),
-    )
-    corners = 5.0 * jnp.asarray([[1.0, 0, 0], [-0.5, 0.8, 0], [-0.5, -0.8, 0]])
-    membrane = Membrane(
-        corners,
-        jnp.asarray([[0, 1, 2]]),
-        jnp.asarray([[0, 1], [1, 2], [0, 2]]),
-        jnp.ones(3),
-        jnp.ones(3, bool),
-        jnp.ones(1, bool),
-        jnp.ones(3, bool),
-        jnp.ones(3, bool),
-        jnp.asarray(-1),
-    )
-    return particles, membrane
+    corners = [[5.0, 0, 0], [-2.5, 4.0, 0], [-2.5, -4.0, 0]]
+    return make_particles([[0.0, 0.0, height]]), make_membrane(corners, [[0, 1, 2]])
 
 
 def test_particle_rests_at_the_contact_range():

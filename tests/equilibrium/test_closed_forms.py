@@ -9,7 +9,8 @@ from scipy.optimize import root_scalar
 
 from jaxgrow.equilibrium.relax import relax
 from jaxgrow.parameters import Parameters
-from jaxgrow.state import Membrane
+
+from .springs import springs
 
 
 def changed(**values):
@@ -138,27 +139,6 @@ def test_particle_in_a_hollow_feels_the_smoothing(make_particles):
 
 
 # springs
-
-
-def springs(vertices, edges, rest_length, pinned):
-    """Vertices and springs without faces, in the arrays that other membranes have."""
-
-    def pad(array, capacity):
-        return jnp.pad(
-            array, [(0, capacity - len(array))] + [(0, 0)] * (array.ndim - 1)
-        )
-
-    return Membrane(
-        pad(vertices, 256),
-        jnp.zeros((512, 3), int),
-        pad(jnp.asarray(edges), 768),
-        pad(rest_length, 768),
-        jnp.arange(256) < len(vertices),
-        jnp.zeros(512, bool),
-        jnp.arange(768) < len(edges),
-        pad(jnp.asarray(pinned), 256),
-        jnp.asarray(-1),
-    )
 
 
 def test_loaded_chain():

@@ -14,7 +14,9 @@ from jaxgrow.equilibrium.relax import relax
 from jaxgrow.equilibrium.response import linearise, respond, solve
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
-from jaxgrow.state import Membrane, Nodes
+from jaxgrow.state import Nodes
+
+from .springs import springs
 
 
 PARAMETERS = jax.tree.map(lambda v: jnp.asarray(v, float), Parameters())
@@ -95,28 +97,6 @@ def scenes(cluster, bed, drop):
     }
 
 
-def springs(vertices, edges, rest, pinned=()):
-    """Vertices and springs without faces, in the arrays that other membranes have."""
-    count = len(vertices)
-
-    def pad(array, capacity):
-        array = np.asarray(array)
-        rows = [(0, capacity - len(array))] + [(0, 0)] * (array.ndim - 1)
-        return jnp.asarray(np.pad(array, rows))
-
-    return Membrane(
-        pad(np.asarray(vertices, float), 256),
-        jnp.zeros((512, 3), int),
-        pad(edges, 768),
-        pad(np.asarray(rest, float), 768),
-        jnp.arange(256) < count,
-        jnp.zeros(512, bool),
-        jnp.arange(768) < len(edges),
-        pad(np.isin(np.arange(count), pinned), 256),
-        jnp.asarray(-1),
-    )
-
-
 # against the dense Hessian
 
 
@@ -178,9 +158,8 @@ def test_coarse_response_takes_fewer_products(scenes):
 
 def test_response_of_a_spring_is_force_over_stiffness(load):
     # pinned by two springs in a line, 0.3 each; across it their tension holds
-    chain = springs(
-        [[0, 0, 0], [1.1, 0, 0], [2.2, 0, 0]], [[0, 1], [1, 2]], [1, 1], [0, 2]
-    )
+    row = jnp.asarray([[0, 0, 0], [1.1, 0, 0], [2.2, 0, 0]])
+    chain = springs(row, [[0, 1], [1, 2]], 1.0, [True, False, True])
     stiff = eqx.tree_at(
         lambda p: (p.spring_stiffness, p.pretension),
         PARAMETERS,
@@ -272,7 +251,8 @@ def test_load_holds_the_direction_of_a_free_spring(load):
         (jnp.asarray(stiffness), jnp.asarray(0.0)),
     )
     length = rest + pull / stiffness
-    spring = springs([[0, 0, 0], [length, 0, 0]], [[0, 1]], [rest])
+    ends = jnp.asarray([[0, 0, 0], [length, 0, 0]])
+    spring = springs(ends, [[0, 1]], rest, [False, False])
     pulled = load(1, [pull, 0, 0]) - load(0, [pull, 0, 0])
     problem, lists = at_rest(None, spring, parameters, pulled)
     across = load(1, [0, push, 0]) - load(0, [0, push, 0])

@@ -1,10 +1,11 @@
 """Surfaces with triangles that loops must not mistake."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrow.state import Membrane
+from jaxgrow.constructors import make_membrane
 
 
 SIDE = 6
@@ -23,17 +24,8 @@ def make_sheet():
         c, d = index[1:, 1:].ravel(), index[1:, :-1].ravel()
         faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
         vertices[8] = 0.5 * (vertices[7] + vertices[14]) + [1e-9, 0, 0]
-        count = len(vertices)
-        return Membrane(
-            jnp.asarray(vertices),
-            jnp.asarray(faces),
-            jnp.zeros((1, 2), int),
-            jnp.ones(1),
-            jnp.ones(count, bool),
-            jnp.arange(len(faces)) != 3,
-            jnp.zeros(1, bool),
-            jnp.zeros(count, bool),
-            jnp.asarray(-1),
-        )
+        membrane = make_membrane(vertices, faces)
+        alive = jnp.arange(len(faces)) != 3
+        return eqx.tree_at(lambda m: m.face_alive, membrane, alive)
 
     return make

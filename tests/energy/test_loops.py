@@ -1,0 +1,170 @@
+"""Loops that are printed from an energy compute what XLA does: every term, one test."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxgrow.energy.bending import Bending
+from jaxgrow.energy.contact import list_contacts, reach
+from jaxgrow.energy.springs import Springs
+from jaxgrow.equilibrium.lists import Lists
+from jaxgrow.equilibrium.loops import with_loops
+from jaxgrow.equilibrium.problem import Problem
+from jaxgrow.neighbors import Neighbors
+
+from .conftest import all_pairs, CONTACTS, COUNT, dense_list, PARAMETERS
+from .test_conformance import coincidences, padded
+
+
+def plain(scene):
+    return scene.particles, scene.membrane
+
+
+def with_padding(scene):
+    """Dead slots of everything with garbage in them, among them triangles and edges."""
+    return padded(scene, 9, 3)
+
+
+SCENES = {"random": plain, "padding": with_padding, "degenerate": coincidences}
+TERMS = ["pair", "springs", "bending", "contact", "collision"]
+
+
+def problem_of(term, particles, membrane):
+    """A problem that has the term alone, and its lists."""
+    parameters = jax.tree.map(lambda v: jnp.asarray(v, float), PARAMETERS)
+    terms = {"springs": (Springs(),), "bending": (Bending(),)}.get(term, ())
+    lists = Lists(None, None)
+    if term == "pair":
+        count = particles.position.shape[0]
+        listed = dense_list(count).astype(jnp.int32)
+        no = jnp.zeros((), bool)
+        lists = Lists(Neighbors(listed, particles.position, no, None), None)
+        membrane = None
+    elif term == "contact":
+        found = list_contacts(particles, membrane, reach(parameters), CONTACTS)
+        assert not bool(found.overflow)
+        lists = Lists(None, found)
+    else:
+        particles = None
+    if term == "collision":
+        lists = lists.with_collisions(all_pairs(membrane))
+    return Problem(particles, membrane, parameters, terms=terms), lists
+
+
+@eqx.filter_jit
+def evaluated(problem, lists, along):
+    """Forces, bounds of a step, and a Hessian product."""
+    nodes = problem.nodes()
+    both = problem.forces_and_bound(nodes, lists, 0.1)
+    return *both, problem.product(nodes, lists)(along)
+
+
+@eqx.filter_jit
+def slope_of(problem, lists):
+    return jax.grad(lambda nodes: problem.energy(nodes, lists))(problem.nodes())
+
+
+def close(found, wanted, within=1e-12):
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
+        size = max(1.0, float(jnp.abs(b).max()))
+        np.testing.assert_allclose(a, b, atol=within * size)
+
+
+def seen(problem, nodes):
+    """Rows of what is alive: what padding would feel nobody asks for."""
+    free = problem.free()
+    return jax.tree.map(
+        lambda rows, on: rows * (on if rows.ndim == 2 else on[:, 0]), nodes, free
+    )
+
+
+@pytest.fixture(scope="module", params=TERMS)
+def term(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def make(scene, term):
+    def problem(kind):
+        problem, lists = problem_of(term, *SCENES[kind](scene))
+        looped = with_loops(problem, lists, products=True)
+        assert looped.loops is not None
+        assert looped.loops.names == (term,)
+        assert looped.is_looped(lists)
+        return problem, looped, lists
+
+    return problem
+
+
+@pytest.fixture(scope="module", params=SCENES)
+def kind(request):
+    return request.param
+
+
+def way_of(problem):
+    rng = np.random.default_rng(8)
+    return jax.tree.map(
+        lambda x: jnp.asarray(rng.normal(size=x.shape)), problem.nodes()
+    )
+
+
+def test_forces_are_minus_the_derivative_of_the_energy(make, kind, term):
+    problem, looped, lists = make(kind)
+    force = seen(problem, evaluated(looped, lists, way_of(problem))[0])
+    if kind == "degenerate" and term == "contact":
+        # a particle on the surface: the direction of its force is that of rounding
+        assert all(bool(jnp.isfinite(f).all()) for f in jax.tree.leaves(force))
+        return
+    wanted = jax.tree.map(jnp.negative, slope_of(problem, lists))
+    close(force, seen(problem, wanted))
+    size = max(float(jnp.abs(f).max()) for f in jax.tree.leaves(force))
+    assert size > 0.01
+
+
+def test_bounds_of_a_step_are_those_of_xla(make, kind):
+    problem, looped, lists = make(kind)
+    along = way_of(problem)
+    found, wanted = (evaluated(p, lists, along)[1] for p in (looped, problem))
+    close(seen(problem, found), seen(problem, wanted))
+
+
+def test_hessian_products_are_derivatives_of_the_forces(make, kind, term):
+    problem, looped, lists = make(kind)
+    along = seen(problem, way_of(problem))
+    found = evaluated(looped, lists, along)[2]
+    if kind == "degenerate" and term in ("contact", "collision", "bending"):
+        return  # the second derivative is singular there
+    wanted = evaluated(problem, lists, along)[2]
+    close(seen(problem, found), seen(problem, wanted), 1e-11)
+
+
+def test_hessian_is_symmetric(make):
+    problem, looped, lists = make("random")
+    rng = np.random.default_rng(2)
+    one, other = (
+        jax.tree.map(lambda x: jnp.asarray(rng.normal(size=x.shape)), problem.nodes())
+        for _ in range(2)
+    )
+
+    def dot(a, b):
+        return sum(
+            jnp.vdot(x, y) for x, y in zip(*map(jax.tree.leaves, (a, b)), strict=True)
+        )
+
+    first = dot(other, evaluated(looped, lists, one)[2])
+    second = dot(one, evaluated(looped, lists, other)[2])
+    np.testing.assert_allclose(first, second, rtol=1e-11)
+    assert abs(float(first)) > 1e-3
+
+
+def test_position_that_is_not_a_number_makes_forces_that_are_none(make, term):
+    if term in ("contact", "collision"):
+        return  # each node feels another term as well, which tells
+    problem, looped, lists = make("random")
+    field = "vertices" if problem.particles is None else "particles"
+    rows = getattr(problem.nodes(), field).at[COUNT // 2, 1].set(jnp.nan)
+    bad = eqx.tree_at(lambda n: getattr(n, field), problem.nodes(), rows)
+    force = looped.at(bad).forces(bad, lists)
+    assert not all(bool(jnp.isfinite(f).all()) for f in jax.tree.leaves(force))
