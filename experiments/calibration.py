@@ -142,7 +142,7 @@ def planted_targets(size: Size, out: Path) -> dict[str, jg.Target]:
 class WithoutDerivatives(LesionGrower):
     """Growths whose derivatives are not asked for."""
 
-    def slopes(self, seed: int, values: Values) -> tuple[()]:  # noqa: ARG002  (Grower's)
+    def slopes(self, seed: int, values: Values) -> tuple[()]:
         """None exist."""
         return ()
 

@@ -16,10 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-
-
-jax.config.update("jax_enable_x64", True)
-
 import numpy as np
 
 import jaxgrow as jg
@@ -30,7 +26,7 @@ from jaxgrow.mesh.topology import build_topology
 
 
 RESULTS = Path(__file__).parent / "results"
-MODULI = (0.0, 0.002, 0.005, 0.01, 0.02)
+MODULI = (0.0, 0.002, 0.005, 0.01)
 METRICS = ("height_mm", "width_mm", "neck_width_mm", "volume_mm3", "sphericity")
 
 
@@ -132,6 +128,7 @@ def main() -> None:
     parser.add_argument("--pictures", type=Path, help="folder of the first seeds' runs")
     parser.add_argument("--out", type=Path, default=RESULTS / "creases.json")
     given = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
     directory = compile_cache()
     if directory is not None:
         jax.config.update("jax_compilation_cache_dir", str(directory))

@@ -145,7 +145,7 @@ def _pair_energy_jvp(
     primals: tuple[Particles, Array, Parameters],
     tangents: tuple[Particles, Array, Parameters],
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """The derivative in positions is minus the force, which gathers instead of scatters."""
+    """In positions minus the force, which gathers instead of scatters."""
     particles, listed, parameters = primals
     moved, _, varied = tangents
     _, length, one, other = _columns(particles, listed)

@@ -60,7 +60,7 @@ class Term(eqx.Module):
 
     @abstractmethod
     def energy(self, x: tuple[Columns, ...], rest: Columns, p: Any) -> Array:
-        """Return the energy of one element, in F(0) r0.
+        r"""Return the energy of one element, in F(0) r0.
 
         Args:
             x: for each node its three coordinates, in r0 (see
@@ -123,7 +123,7 @@ class MembraneTerm(Term):
         return Elements(vertices.astype(int) + first, membrane.rest[self.name], alive)
 
     def at_rest(self, membrane: Membrane) -> Float[Array, "e q"]:
-        """Return the rest data of all elements where the vertices are; 0 for padding."""
+        """Return the rest data of all elements where they are; 0 for padding."""
         vertices, alive = self.stencil(membrane)
         x = _gathered(membrane.vertices, vertices, alive)
         rest = jnp.stack(jax.vmap(self.rest)(x), axis=1)

@@ -143,14 +143,16 @@ def _shape_of(term: Term) -> Term:
     return jax.tree.map(lambda _: 0.0, term)
 
 
-_MAKERS = {PAIRS: pair_root, CONTACT: contact_root, COLLISION: collision_root}
+_MAKERS = {"pair": pair_root, "contact": contact_root, "collision": collision_root}
 
 
 @functools.cache
 def root_module(key: _Key, kind: Kind) -> ModuleType | None:
     """The compiled root of a term; None, with a warning, if it cannot be printed."""
     term = key.term
-    make = _MAKERS.get(term) or functools.partial(element_root, term, key.rest)
+    make = functools.partial(element_root, term, key.rest)
+    if not isinstance(term, Term):
+        make = _MAKERS[term.name]
     of_package = type(term).__module__.startswith("jaxgrow.")
     try:
         return load(f"{key.name}_{kind}", lambda: make(kind), of_package=of_package)
@@ -312,7 +314,7 @@ def solve(
 def _buffers(
     problem: "Problem", lists: "Lists", first: int
 ) -> tuple[Int[Array, "t b"], list[Array]]:
-    """Wiring and buffers of the terms that have loops, as arguments from a number on."""
+    """Wiring and buffers of the terms with loops, as arguments from a number on."""
     assert problem.loops is not None
     terms = [t for t in wired(problem, lists) if t.name in problem.loops.names]
     buffers = [buffer for term in terms for buffer in term.buffers]

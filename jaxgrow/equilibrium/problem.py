@@ -78,7 +78,7 @@ ExtraTerms: TypeAlias = Sequence[Term | EnergyFunction]
 
 
 class _Function(eqx.Module):
-    """A plain function as an energy: it is the same program if it is the same object."""
+    """A plain function as an energy: another object is another program."""
 
     function: EnergyFunction = eqx.field(static=True)
 
@@ -88,7 +88,8 @@ class _Function(eqx.Module):
 
 def _as_module(function: EnergyFunction) -> EnergyFunction:
     """A function whose arrays, if it has any, are arguments of a program."""
-    return function if isinstance(function, eqx.Module) else _Function(function)
+    own: Any = function
+    return own if isinstance(own, eqx.Module) else _Function(function)
 
 
 def _acts(modulus: Scalar) -> bool:
@@ -128,8 +129,9 @@ class Problem(eqx.Module):
     ) -> "Problem":
         """A problem whose parameters, by default `Parameters()`, are arrays.
 
-        A Python float would be a constant of the program, compiled for each value. Terms
-        of the membrane whose modulus is 0, and carries no derivative, are left out.
+        A Python float would be a constant of the program, compiled for each value.
+        Terms of the membrane whose modulus is 0, and carries no derivative, are left
+        out.
 
         Args:
             particles: or None for a membrane alone.
@@ -280,7 +282,7 @@ class Problem(eqx.Module):
         )
 
     def _clearances(self, lists: Lists, distances: Distances) -> Nodes:
-        """Distance of every node to what it must not cross; infinite where nothing is."""
+        """Distance of every node to what it must not cross; infinite for none."""
         clear = jax.tree.map(lambda x: jnp.full_like(x[:, 0], jnp.inf), self.nodes())
         if lists.contacts is not None:
             assert distances.contact is not None
@@ -291,6 +293,7 @@ class Problem(eqx.Module):
         if lists.collisions is not None:
             assert self.membrane is not None
             given = self.membrane, lists.collisions, distances.collision
+            assert clear.vertices is not None
             near = jnp.minimum(clear.vertices, collision_clearances(*given))
             clear = eqx.tree_at(lambda n: n.vertices, clear, near)
         return clear

@@ -119,8 +119,9 @@ def pair_root(kind: Kind) -> Root:
 _RENEW = """
 @njit(cache=True)
 def renew(position, tumour, alive, before, alive_before, changed, numbers, force):
+    cutoff, p = numbers[0], {p}
     vicinity.renew(
-        law, position, tumour, alive, before, alive_before, changed, numbers[0], {p}, force
+        law, position, tumour, alive, before, alive_before, changed, cutoff, p, force
     )
 """
 

@@ -156,7 +156,8 @@ class _Printer:
 
         def read(atom: Any) -> str:
             if isinstance(atom, Literal):
-                return _literal(np.asarray(atom.val, atom.aval.dtype))
+                kind: Any = atom.aval
+                return _literal(np.asarray(atom.val, kind.dtype))
             return names[atom]
 
         for variable, constant in zip(jaxpr.constvars, constants, strict=True):
@@ -164,10 +165,9 @@ class _Printer:
         names.update(zip(jaxpr.invars, arguments, strict=True))
         for equation in jaxpr.eqns:
             for variable in equation.outvars:
-                if getattr(variable.aval, "shape", ()) != ():
-                    raise UnprintableError(
-                        f"{equation.primitive.name} of shape {variable.aval.shape}"
-                    )
+                shape = getattr(variable.aval, "shape", ())
+                if shape != ():
+                    raise UnprintableError(f"{equation.primitive} of shape {shape}")
             operands = [read(atom) for atom in equation.invars]
             results = self._equation(equation, operands)
             names.update(zip(equation.outvars, results, strict=True))

@@ -137,7 +137,7 @@ def _main(root: Root) -> str:
 
 @functools.cache
 def cache_folder() -> Path:
-    """Folder of printed loops; one that is deleted at the end where none is writable."""
+    """Folder of printed loops; where none is writable, one that is deleted."""
     choice = os.environ.get("JAXGROW_LOOPS_CACHE")
     home = os.environ.get("XDG_CACHE_HOME")
     try:

@@ -1,8 +1,8 @@
 """The terms of an energy as a handler of XLA: one evaluation of their roots.
 
-Arguments: addresses of the roots, wiring (see `jaxgrow.kernels.tables`), which particles
-are alive, nodes, a displacement (of no rows for forces), and the buffers. Results: what
-the roots add up, and the distances to what each node must not cross.
+Arguments: addresses of the roots, wiring (see `jaxgrow.kernels.tables`), which
+particles are alive, nodes, a displacement (of no rows for forces), and the buffers.
+Results: what the roots add up, and the distances to what each node must not cross.
 """
 
 from typing import no_type_check
