@@ -1,4 +1,25 @@
-"""Reading a call frame of XLA in compiled loops; see `jaxgrow.kernels.ffi`."""
+"""Reading and refusing a call frame of XLA in compiled loops.
+
+A frame, and what it leads to, is laid out as ``xla/ffi/api/c_api.h`` of version 0.x
+says (64 bits), and a test compares the places named here with that file::
+
+    frame     size, extension, api, context, stage, arguments, results, ...
+    arguments size, extension, count, types, pointers to buffers (results likewise)
+    buffer    size, extension, type, data, rank, pointer to its dimensions
+    extension size, type, next, pointer to metadata (of a query of the version)
+    metadata  size, version (size, extension, major and minor), ...
+    api       size, extension, version (likewise), internal, make an error, ...
+    error     size, extension, message, code (as it is to be made)
+
+each entry a word of 64 bits. A handler begins so, with `CODES` made by
+`jaxgrow.kernels.arguments.codes_of`::
+
+    if frames.answers_version(frame):
+        return 0
+    bad = frames.mismatch(frame, CODES)
+    if bad:
+        return frames.refuse(frame, bad)
+"""
 
 from typing import Any, no_type_check
 
@@ -8,20 +29,58 @@ from numba import njit, types
 from numba.extending import intrinsic
 from numba.np.numpy_support import carray
 
+from jaxgrow.kernels.arguments import DATA_TYPES
 
-_EXTENSION, _API = 1, 2
-_ARGUMENTS, _RESULTS = 9, 14
-"""Entries of a frame: pointers to those of the buffers."""
 
-_TYPE, _DATA, _RANK, _DIMENSIONS = 2, 3, 4, 5
-"""Entries of a buffer."""
+EXTENSION, API = 1, 2
+ARGUMENT_COUNT, ARGUMENTS = 7, 9
+RESULT_COUNT, RESULTS = 12, 14
+"""Words of a frame: pointers, and the numbers of buffers with pointers to those."""
 
-_WIDTH = np.array([0, 1, 1, 2, 4, 8, 1, 2, 4, 8, 2, 4, 8], np.int64)
-"""Bytes of a number of each type: none, booleans, whole numbers with and without sign
-of 8 to 64 bits, and real ones of 16 to 64."""
+TYPE, DATA, RANK, DIMENSIONS = 2, 3, 4, 5
+"""Words of a buffer."""
 
-_MAJOR = 0
-"""Of the version whose layout this is."""
+EXTENSION_TYPE, METADATA = 1, 3
+"""Words of an extension."""
+
+VERSION_OF_METADATA, VERSION_OF_API, MAKE_ERROR = 3, 4, 6
+"""Words of metadata and of the api: versions, minor above and major below; function."""
+
+MESSAGE, ERROR_CODE, ERROR_SIZE = 2, 3, 28
+"""Words of what an error is made of, and its size in bytes."""
+
+QUERY_OF_VERSION, MAJOR = 1, 0
+"""Type of the extension that asks for the version, and the one whose layout this is."""
+
+INVALID_ARGUMENT, INTERNAL = 3, 13
+"""Codes of errors."""
+
+_WIDTH = np.array([0, *(dtype.itemsize for dtype in DATA_TYPES)], np.int64)
+"""Bytes of a number of each type; of none, 0."""
+
+
+def text(sentence: str) -> np.ndarray:
+    """Write a sentence as the constant that `fail` takes.
+
+    Raises:
+        UnicodeEncodeError: it is not in ASCII.
+    """
+    return np.frombuffer(sentence.encode("ascii"), np.uint8).copy()
+
+
+# numba takes an attribute `_name` of a module for its name: there must be none
+_TYPE_NAMES = np.array(
+    [text(f"{dtype!s:16}") for dtype in (np.dtype(np.void), *DATA_TYPES)]
+)
+"""Names of types, filled up with blanks."""
+
+_ARGUMENT, _RESULT, _IS = text("argument "), text("result "), text(" is ")
+_UNKNOWN, _OF_RANK, _WANTED = text("type "), text(" of rank "), text("; it must be ")
+_COUNTS = text(
+    "the call has not as many arguments and results as the loop; was it traced by "
+    "another version of jaxgrow?"
+)
+_END = text(" (counted from 0).")
 
 
 @intrinsic
@@ -46,14 +105,15 @@ def _words(address: int, count: int) -> np.ndarray:
 def answers_version(frame_at: int) -> bool:
     """Whether the call only asks for the version, which is answered then."""
     frame = _words(frame_at, 5)
-    if frame[_EXTENSION] == 0:
+    if frame[EXTENSION] == 0:
         return False
-    extension = _words(frame[_EXTENSION], 4)
-    if np.int32(extension[1]) != 1:
+    extension = _words(frame[EXTENSION], 4)
+    if np.int32(extension[EXTENSION_TYPE]) != QUERY_OF_VERSION:
         return False
-    version = _words(frame[_API], 5)[4]  # minor above, major below
-    if np.int32(version) == _MAJOR:
-        _words(extension[3], 4)[3] = version
+    version = _words(frame[API], VERSION_OF_API + 1)[VERSION_OF_API]
+    if np.int32(version) == MAJOR:
+        metadata = _words(extension[METADATA], VERSION_OF_METADATA + 1)
+        metadata[VERSION_OF_METADATA] = version
     return True
 
 
@@ -61,16 +121,16 @@ def answers_version(frame_at: int) -> bool:
 @no_type_check
 def argument(frame_at: int, number: int) -> int:
     """Address of an argument's data."""
-    buffers = _words(_words(frame_at, 15)[_ARGUMENTS], number + 1)
-    return _words(buffers[number], 6)[_DATA]
+    buffers = _words(_words(frame_at, 15)[ARGUMENTS], number + 1)
+    return _words(buffers[number], 6)[DATA]
 
 
 @njit(cache=True)
 @no_type_check
 def size(frame_at: int, number: int, axis: int) -> int:
     """Length of an argument along an axis."""
-    buffers = _words(_words(frame_at, 15)[_ARGUMENTS], number + 1)
-    return _words(_words(buffers[number], 6)[_DIMENSIONS], axis + 1)[axis]
+    buffers = _words(_words(frame_at, 15)[ARGUMENTS], number + 1)
+    return _words(_words(buffers[number], 6)[DIMENSIONS], axis + 1)[axis]
 
 
 @njit(cache=True)
@@ -99,11 +159,11 @@ def count_results(frame_at: int) -> int:
 @no_type_check
 def _bytes(frame_at: int, number: int) -> int:
     """What an argument takes."""
-    buffers = _words(_words(frame_at, 15)[_ARGUMENTS], number + 1)
+    buffers = _words(_words(frame_at, 15)[ARGUMENTS], number + 1)
     buffer = _words(buffers[number], 6)
-    extent = _WIDTH[np.int32(buffer[_TYPE])]
-    rank = buffer[_RANK]
-    dimensions = _words(buffer[_DIMENSIONS], rank)
+    extent = _WIDTH[np.int32(buffer[TYPE])]
+    rank = buffer[RANK]
+    dimensions = _words(buffer[DIMENSIONS], rank)
     for axis in range(rank):
         extent *= dimensions[axis]
     return extent
@@ -113,16 +173,16 @@ def _bytes(frame_at: int, number: int) -> int:
 @no_type_check
 def size_of_result(frame_at: int, number: int, axis: int) -> int:
     """Length of a result along an axis."""
-    buffers = _words(_words(frame_at, 15)[_RESULTS], number + 1)
-    return _words(_words(buffers[number], 6)[_DIMENSIONS], axis + 1)[axis]
+    buffers = _words(_words(frame_at, 15)[RESULTS], number + 1)
+    return _words(_words(buffers[number], 6)[DIMENSIONS], axis + 1)[axis]
 
 
 @njit(cache=True)
 @no_type_check
 def result(frame_at: int, number: int) -> int:
     """Address of a result's data."""
-    buffers = _words(_words(frame_at, 15)[_RESULTS], number + 1)
-    return _words(buffers[number], 6)[_DATA]
+    buffers = _words(_words(frame_at, 15)[RESULTS], number + 1)
+    return _words(buffers[number], 6)[DATA]
 
 
 @njit(cache=True)
@@ -151,6 +211,157 @@ def long_indices(address: int, shape: tuple[int, ...]) -> np.ndarray:
 def booleans(address: int, shape: tuple[int, ...]) -> np.ndarray:
     """What lies there, as 0 and 1 of a byte each."""
     return carray(_as_pointer(address), shape, np.uint8)
+
+
+@njit(cache=True)
+@no_type_check
+def mismatch(frame_at: int, codes: np.ndarray) -> int:
+    """Compare a call with what its handler declares; takes some 20 ns and 1 a buffer.
+
+    Args:
+        frame_at: of the call.
+        codes: of `jaxgrow.kernels.arguments.codes_of`.
+
+    Returns:
+        0 if the numbers of arguments and results, and the type and rank of each, are
+        those declared; otherwise what `refuse` makes an error of.
+    """
+    frame = _words(frame_at, RESULTS + 1)
+    arguments, results = codes[0], codes[1]
+    if frame[ARGUMENT_COUNT] != arguments or frame[RESULT_COUNT] != results:
+        return -1
+    for k in range(arguments + results):
+        buffer = _buffer(frame, k, arguments)
+        if 256 * np.int64(np.int32(buffer[TYPE])) + buffer[RANK] != codes[2 + k]:
+            return (k + 1) << 32 | codes[2 + k]
+    return 0
+
+
+@njit(cache=True)
+@no_type_check
+def _buffer(frame: np.ndarray, number: int, arguments: int) -> np.ndarray:
+    """A buffer by its number; those of results follow those of arguments."""
+    if number < arguments:
+        return _words(_words(frame[ARGUMENTS], number + 1)[number], DIMENSIONS + 1)
+    number -= arguments
+    return _words(_words(frame[RESULTS], number + 1)[number], DIMENSIONS + 1)
+
+
+@njit(cache=True)
+@no_type_check
+def refuse(frame_at: int, bad: int) -> int:
+    """Make the error of a call that is not what its handler declares.
+
+    Args:
+        frame_at: of the call.
+        bad: what `mismatch` found.
+
+    Returns:
+        The error's address, for the handler to return; in Python it is an exception
+        whose sentence names the argument, what it is and what it must be.
+    """
+    if bad < 0:
+        return _fail(frame_at, INVALID_ARGUMENT, _COUNTS, len(_COUNTS))
+    frame = _words(frame_at, RESULTS + 1)
+    number, arguments = (bad >> 32) - 1, frame[ARGUMENT_COUNT]
+    buffer = _buffer(frame, number, arguments)
+    line = np.zeros(200, np.uint8)
+    if number < arguments:
+        end = _put_number(line, _put(line, 0, _ARGUMENT), number)
+    else:
+        end = _put_number(line, _put(line, 0, _RESULT), number - arguments)
+    end = _put(line, end, _IS)
+    end = _put_kind(line, end, np.int64(np.int32(buffer[TYPE])), buffer[RANK])
+    end = _put(line, end, _WANTED)
+    wanted = bad & 0xFFFFFFFF
+    end = _put_kind(line, end, wanted // 256, wanted % 256)
+    return _fail(frame_at, INVALID_ARGUMENT, line, _put(line, end, _END))
+
+
+@njit(cache=True)
+@no_type_check
+def _put(line: np.ndarray, end: int, words: np.ndarray) -> int:
+    # a slice on the left takes numba seconds to compile
+    for k in range(len(words)):
+        line[end + k] = words[k]
+    return end + len(words)
+
+
+@njit(cache=True)
+@no_type_check
+def _put_number(line: np.ndarray, end: int, number: int) -> int:
+    scale = 1
+    while number // scale > 9:
+        scale *= 10
+    while scale > 0:
+        line[end] = 48 + number // scale % 10
+        end, scale = end + 1, scale // 10
+    return end
+
+
+@njit(cache=True)
+@no_type_check
+def _put_kind(line: np.ndarray, end: int, kind: int, rank: int) -> int:
+    if 0 < kind < len(_TYPE_NAMES):
+        for k in range(_TYPE_NAMES.shape[1]):
+            if _TYPE_NAMES[kind, k] != 32:
+                line[end] = _TYPE_NAMES[kind, k]
+                end += 1
+    else:
+        end = _put_number(line, _put(line, end, _UNKNOWN), kind)
+    return _put_number(line, _put(line, end, _OF_RANK), rank)
+
+
+@njit(cache=True)
+@no_type_check
+def fail(frame_at: int, code: int, sentence: np.ndarray) -> int:
+    """Make an error of XLA.
+
+    Args:
+        frame_at: of the call.
+        code: `INVALID_ARGUMENT` or `INTERNAL`.
+        sentence: of `text`.
+
+    Returns:
+        The error's address, for the handler to return; XLA destroys it.
+    """
+    return _fail(frame_at, code, sentence, len(sentence))
+
+
+@njit(cache=True)
+@no_type_check
+def _fail(frame_at: int, code: int, sentence: np.ndarray, length: int) -> int:
+    """As `fail`, of a sentence that does not fill its array."""
+    message = np.zeros(length + 1, np.uint8)  # XLA reads up to the zero
+    for k in range(length):
+        message[k] = sentence[k]
+    given = np.zeros(ERROR_CODE + 1, np.int64)
+    given[0], given[ERROR_CODE] = ERROR_SIZE, code
+    api = _words(_words(frame_at, API + 1)[API], MAKE_ERROR + 1)
+    return _make_error(api[MAKE_ERROR], given, message)
+
+
+@intrinsic
+@no_type_check
+def _make_error(_context: Any, _function: Any, given: Any, message: Any) -> Any:
+    """Call XLA with what an error is made of; both arrays live until it returns."""
+    signature = types.intp(types.intp, given, message)
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        word = ir.IntType(64)
+        function, *arrays = arguments
+        at_given, at_message = (
+            builder.ptrtoint(
+                context.make_array(kind)(context, builder, array).data, word
+            )
+            for kind, array in zip(signature.args[1:], arrays, strict=True)
+        )
+        place = builder.add(at_given, ir.Constant(word, 8 * MESSAGE))
+        builder.store(at_message, builder.inttoptr(place, word.as_pointer()))
+        kind = ir.FunctionType(word, [word]).as_pointer()
+        return builder.call(builder.inttoptr(function, kind), [at_given])
+
+    return signature, generate
 
 
 HANDLER = types.intp(types.intp)

@@ -5,6 +5,10 @@ In this order, field by field, they are the arguments of `jaxgrow.kernels.descen
 
 from typing import Any, NamedTuple, TypeAlias
 
+import numpy as np
+
+from jaxgrow.kernels.arguments import Argument
+
 
 Array: TypeAlias = Any
 """An array on either side."""
@@ -15,6 +19,14 @@ Number: TypeAlias = Any
 
 AWAY = 1e9
 """Coordinate, in r0, from which on there is nothing but dead particles."""
+
+NEAR_ARGUMENTS = (
+    Argument("position", np.float64, 2),
+    Argument("wide", np.int32, 2),
+    Argument("square", np.float64, 1),
+)
+NEAR_RESULTS = (Argument("listed", np.int32, 2), Argument("most", np.int32, 1))
+"""What `jaxgrow.kernels.near` is given and gives."""
 
 
 class Touching(NamedTuple):

@@ -6,7 +6,11 @@ import numpy as np
 from numba import cfunc, njit
 
 from jaxgrow.kernels import frames
-from jaxgrow.kernels.layout import AWAY
+from jaxgrow.kernels.arguments import codes_of
+from jaxgrow.kernels.layout import AWAY, NEAR_ARGUMENTS, NEAR_RESULTS
+
+
+_CODES = codes_of(NEAR_ARGUMENTS, NEAR_RESULTS)
 
 
 @njit(cache=True)
@@ -59,6 +63,9 @@ def handler(frame: int) -> int:
     """For XLA: arguments and results as of `find`."""
     if frames.answers_version(frame):
         return 0
+    bad = frames.mismatch(frame, _CODES)
+    if bad:
+        return frames.refuse(frame, bad)
     count, entries = frames.size(frame, 1, 0), frames.size(frame, 1, 1)
     room = frames.size_of_result(frame, 0, 0)
     find(
