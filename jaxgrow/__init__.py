@@ -65,6 +65,10 @@ if TYPE_CHECKING:
         SceneError as SceneError,
         Surroundings as Surroundings,
     )
+    from jaxgrow.slow_path import (
+        SlowPathWarning as SlowPathWarning,
+        UnvalidatedVersionWarning as UnvalidatedVersionWarning,
+    )
     from jaxgrow.state import (
         Membrane as Membrane,
         Nodes as Nodes,
@@ -97,12 +101,14 @@ _HOME = {
     "Result": "results",
     "Scene": "scene",
     "SceneError": "scene",
+    "SlowPathWarning": "slow_path",
     "Species": "state",
     "State": "state",
     "Surroundings": "scene",
     "Target": "calibration.task",
     "Term": "energy.term",
     "UnstableAdhesionWarning": "parameters",
+    "UnvalidatedVersionWarning": "slow_path",
     "audit": "audit",
     "audit_run": "run_folder",
     "fit": "calibration.fit",

@@ -4,7 +4,11 @@ import contextlib
 import hashlib
 import os
 import platform
+import stat
+import tempfile
 from pathlib import Path
+
+from jaxgrow.slow_path import warn_once
 
 
 def compile_cache() -> Path | None:
@@ -12,19 +16,76 @@ def compile_cache() -> Path | None:
 
     ``JAX_COMPILATION_CACHE_DIR`` or ``JAXGROW_XLA_CACHE`` choose another folder. By
     default there is one for each version of jaxlib and kind of processor, because
-    programs compiled for another one may crash.
+    programs compiled for another one may crash: below the user's home, or among the
+    temporary files if there is none that may be written to. It is None, too, where
+    nothing may be written.
+
+    Warns:
+        SlowPathWarning: ``JAXGROW_XLA_CACHE`` chooses a folder that cannot be
+            written to.
     """
     from importlib.metadata import version
 
     choice = os.environ.get("JAXGROW_XLA_CACHE")
     if choice == "off":
         return None
-    choice = os.environ.get("JAX_COMPILATION_CACHE_DIR") or choice
+    if of_jax := os.environ.get("JAX_COMPILATION_CACHE_DIR"):
+        return Path(of_jax)  # JAX reads it too, and says what is wrong with it
     if choice:
-        return Path(choice)
+        if may_be_written(Path(choice)):
+            return Path(choice)
+        warn_once(
+            f"JAXGROW_XLA_CACHE is {choice}, which cannot be written to, so compiled "
+            "programs are not kept and every run is some seconds longer; name another "
+            "folder, or none."
+        )
+        return None
     processor = platform.machine() + platform.processor()
     with contextlib.suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
         processor += next((line for line in lines if line.startswith("flags")), "")
     kind = hashlib.sha256(processor.encode()).hexdigest()[:8]
-    return Path.home() / ".cache/jaxgrow/xla" / f"jaxlib-{version('jaxlib')}-{kind}"
+    kind = f"jaxlib-{version('jaxlib')}-{kind}"
+    # who is a number without a name, as in some containers, has no home
+    with contextlib.suppress(RuntimeError):
+        folder = Path.home() / ".cache/jaxgrow/xla" / kind
+        if may_be_written(folder):
+            return folder
+    folder = private_folder("xla")
+    return None if folder is None else folder / kind
+
+
+def private_folder(name: str) -> Path | None:
+    """Folder among the temporary files that only this user may write to.
+
+    It is the same in every process of the user. What is kept there is executed later,
+    so one that belongs to somebody else, or that others may write to, is not used.
+
+    Args:
+        name: of the folder, within that of jaxgrow.
+
+    Returns:
+        The folder, made if absent; None where there can be none.
+    """
+    user = getattr(os, "geteuid", int)()  # elsewhere these files are each user's own
+    try:
+        folder = Path(tempfile.gettempdir()) / f"jaxgrow-{user}"
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
+        others = stat.S_IWGRP | stat.S_IWOTH if hasattr(os, "geteuid") else 0
+        mine = stat.S_ISDIR(found.st_mode) and found.st_uid == user
+        if not mine or found.st_mode & others:
+            return None
+        (folder / name).mkdir(exist_ok=True)
+    except OSError:
+        return None
+    return folder / name
+
+
+def may_be_written(folder: Path) -> bool:
+    """Whether files can be made in it, or in the first above it that exists."""
+    absolute = folder.absolute()
+    for there in (absolute, *absolute.parents):
+        if os.path.lexists(there):
+            return there.is_dir() and os.access(there, os.W_OK | os.X_OK)
+    return False
