@@ -25,7 +25,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxgrow import cells
 from jaxgrow.energy.a2 import CUTOFF
-from jaxgrow.kernels.ffi import registered, target
+from jaxgrow.kernels.ffi import call, registered
+from jaxgrow.kernels.layout import NEAR_ARGUMENTS, NEAR_RESULTS
 from jaxgrow.numerics import farthest_two, safe_norm
 from jaxgrow.relisting import Links, relink
 
@@ -284,12 +285,15 @@ def find_near(
 def _near_by_loop(
     position: Float[Array, "n 3"], wide: Int[Array, "n w"], *, room: int
 ) -> tuple[Int[Array, "k n"], Int[Array, ""]]:
-    results = (
-        jax.ShapeDtypeStruct((room, position.shape[0]), wide.dtype),
-        jax.ShapeDtypeStruct((1,), wide.dtype),
+    square = jnp.full(1, (CUTOFF + SKIN) ** 2)
+    listed, most = call(
+        "near",
+        NEAR_ARGUMENTS,
+        NEAR_RESULTS,
+        {"position": position, "wide": wide, "square": square},
+        {"listed": (room, position.shape[0]), "most": (1,)},
+        vmap_method="sequential",
     )
-    call = jax.ffi.ffi_call(target("near"), results, vmap_method="sequential")
-    listed, most = call(position, wide, jnp.full(1, (CUTOFF + SKIN) ** 2))
     return listed, most[0]
 
 
