@@ -28,6 +28,7 @@ from jaxgrow.equilibrium.stages import (
     stages_of,
 )
 from jaxgrow.equilibrium.staggered import stagger
+from jaxgrow.forks import refuse_forked
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
 from jaxgrow.state import Membrane, Nodes, Particles
@@ -175,7 +176,9 @@ def relax(
         ValueError: there is nothing to relax, an array has another shape or other
             numbers than it must, the tolerance is not positive, or the method is
             unknown or not for a membrane.
+        RuntimeError: this process was forked from one that had computed.
     """
+    refuse_forked()
     if particles is None and membrane is None:
         raise ValueError("nothing to relax: give particles, a membrane, or both.")
     if not tolerance > 0:
