@@ -9,10 +9,12 @@ from jaxtyping import Float
 
 from jaxgrow.clock import Clock
 from jaxgrow.compilations import count_compilations, forget_now_and_then
+from jaxgrow.descents import count_descents
 from jaxgrow.equilibrium.implicit import is_differentiated
 from jaxgrow.equilibrium.problem import ExtraTerms
 from jaxgrow.equilibrium.stages import exact_tolerance
 from jaxgrow.events import Event, Events, Start
+from jaxgrow.forks import refuse_forked
 from jaxgrow.growth import Growth, Progress
 from jaxgrow.lesion import size_of
 from jaxgrow.parameters import as_arrays, Parameters
@@ -104,7 +106,9 @@ def grow(
         OrganError: the organ or the site cannot be used.
         ValueError: JAX computes in 32 bits, the tolerance is not positive, or the
             events are those of another scene.
+        RuntimeError: this process was forked from one that had grown something.
     """
+    refuse_forked()
     if jnp.zeros(()).dtype != jnp.float64:
         raise ValueError(
             "JAX computes in 32 bits here, and growth needs 64; put "
@@ -115,7 +119,7 @@ def grow(
         raise ValueError(f"max_seconds is {max_seconds}; it must be positive.")
     parameters = as_arrays(parameters or scene.parameters, jnp.float64)
     clock = Clock()
-    with count_compilations() as compilations:
+    with count_compilations() as compilations, count_descents() as descents:
         if events is None:
             tolerance = 1e-3 if tolerance is None else tolerance
             if is_differentiated((parameters, terms)):
@@ -143,6 +147,7 @@ def grow(
         history=tuple(history),
         seconds=dict(clock.total),
         compilations=compilations.count,
+        descents=descents,
         ground=step.ground,
         organ_index=step.organ_index,
     )

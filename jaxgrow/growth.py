@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
+from jaxgrow.descents import Descents
 from jaxgrow.events import Events
 from jaxgrow.lesion import lesion_vertices
 from jaxgrow.organ import merge, Merged, Organ, Site
@@ -57,6 +58,7 @@ class Growth:
             steps, residual, counts, seconds, …
         seconds: by phase.
         compilations: number of programs compiled.
+        descents: which path they ran on.
         ground: the organ around it; None for a free cluster.
         organ_index: for each membrane vertex alive the organ's vertex it was, or -1.
     """
@@ -71,6 +73,7 @@ class Growth:
     history: tuple[dict[str, Any], ...]
     seconds: dict[str, float]
     compilations: int
+    descents: Descents
     ground: Ground | None = None
     organ_index: Int[np.ndarray, " m"] = field(
         default_factory=lambda: np.zeros(0, dtype=np.int64)

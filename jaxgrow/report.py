@@ -16,8 +16,6 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 from jaxtyping import UInt8
 
-from jaxgrow import kernels
-
 
 if TYPE_CHECKING:
     from jaxgrow.growth import Growth
@@ -37,7 +35,7 @@ GROWING = (
     "numpy",
     "scipy",
     "trimesh",  # reads organs
-    "numba",  # compiles the loops of jaxgrow.kernels, where it is used
+    "numba",  # compiles the loops of jaxgrow.kernels; "loops" tells whether they ran
 )
 """Distributions whose version may change a growth."""
 
@@ -98,6 +96,7 @@ def make_report(
         "history": growth.history,
         "seconds": growth.seconds,
         "compilations": growth.compilations,
+        "loops": growth.descents.entry(),
         "versions": versions(),
         "machine": {
             "platform": platform.platform(),
@@ -134,12 +133,10 @@ def describe_scene(scene: Scene, organ: Organ | None) -> dict[str, Any]:
 
 
 def versions(names: Sequence[str] = DECISIVE) -> dict[str, str | None]:
-    """Of Python and of all distributions that decide a result; None: not used."""
+    """Of Python and of all distributions that decide a result; None: not there."""
     found: dict[str, str | None] = {"python": platform.python_version()}
     for name in names:
         found[name] = None
-        if name == "numba" and not kernels.wanted():
-            continue
         with contextlib.suppress(PackageNotFoundError):
             found[name] = version(name)
     return found

@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrow import kernels
 from jaxgrow.parameters import Parameters
 from jaxgrow.report import named, plain, versions
 
@@ -63,9 +62,3 @@ def test_versions_are_told_or_none():
     found = versions()
     assert found["numpy"] == np.__version__
     assert None not in (found["python"], found["jax"], found["jax-md"])
-
-
-@pytest.mark.parametrize("used", [True, False])
-def test_numba_is_told_only_where_its_loops_are_used(used, monkeypatch):
-    monkeypatch.setattr(kernels, "wanted", lambda: used)
-    assert (versions()["numba"] is not None) == used

@@ -21,7 +21,7 @@ from jaxgrow.equilibrium.problem import (
     Problem,
 )
 from jaxgrow.kernels import layout, loops
-from jaxgrow.kernels.ffi import registered
+from jaxgrow.kernels.ffi import refused, registered
 from jaxgrow.transfer import get, get_number, put
 
 
@@ -31,11 +31,23 @@ LEAST_CONTACTS, LEAST_CANDIDATES, LEAST_COLLISIONS = 1024, 4096, 256
 
 def is_looped(problem: Problem) -> bool:
     """Whether there is a loop for this problem: on a processor, in 64 bits."""
-    if not (problem.dtype == jnp.float64 and registered("descent")):
-        return False
+    return why_not_looped(problem) is None
+
+
+def why_not_looped(problem: Problem) -> str | None:
+    """Tell why there is no loop for this problem; None where there is one."""
+    if problem.dtype != jnp.float64:
+        return f"numbers are {problem.dtype}, and loops know 64 bits only"
+    if not registered("descent"):
+        found = refused("descent")
+        assert found is not None
+        return found.reason
     nodes = problem.particles or problem.membrane
     where = jax.tree.leaves(nodes)[0].devices()
-    return all(device.platform == "cpu" for device in where)
+    elsewhere = {device.platform for device in where} - {"cpu"}
+    if elsewhere:
+        return f"it was computed on {elsewhere.pop()}, and loops are for processors"
+    return None
 
 
 def fitting(

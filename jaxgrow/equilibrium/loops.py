@@ -221,12 +221,16 @@ def with_loops(
     return problem.with_loops(loops)
 
 
-def all_loop(problem: "Problem", lists: "Lists") -> bool:
-    """Whether every term of a problem has a loop, so that a descent can be one."""
-    loops = problem.loops
-    if loops is None or problem.functions:
-        return False
-    return loops.names == tuple(key.name for key in _keys(problem, lists))
+def how_terms_run(problem: "Problem", lists: "Lists") -> dict[str, str]:
+    """Return for each term whether a "loop" or "XLA" evaluates it.
+
+    If all are loops, a descent can be one.
+    """
+    looped = () if problem.loops is None else problem.loops.names
+    names = [key.name for key in _keys(problem, lists)]
+    terms = {name: "loop" if name in looped else "XLA" for name in names}
+    functions = [getattr(f, "name", type(f).__name__) for f in problem.functions]
+    return terms | dict.fromkeys(functions, "XLA")
 
 
 def evaluate(

@@ -82,6 +82,11 @@ class _Function(eqx.Module):
 
     function: EnergyFunction = eqx.field(static=True)
 
+    @property
+    def name(self) -> str:
+        """Name of the function."""
+        return getattr(self.function, "__name__", type(self.function).__name__)
+
     def __call__(self, particles: Particles | None, membrane: Membrane | None) -> Array:
         return self.function(particles, membrane)
 

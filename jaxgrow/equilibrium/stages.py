@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax.typing import DTypeLike
 from jaxtyping import PyTree
 
+from jaxgrow.descents import note_descent
 from jaxgrow.equilibrium.descent import blank_memory, descend, Minimiser
 from jaxgrow.equilibrium.euler import Euler
 from jaxgrow.equilibrium.fire import FIRE
@@ -16,7 +17,8 @@ from jaxgrow.equilibrium.lbfgs import LBFGS
 from jaxgrow.equilibrium.listing import allocate_lists, CollisionLister, prepared
 from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.looped import descend_by_loop
-from jaxgrow.equilibrium.loops import all_loop, with_loops
+from jaxgrow.equilibrium.looped_lists import why_not_looped
+from jaxgrow.equilibrium.loops import how_terms_run, with_loops
 from jaxgrow.equilibrium.newton import polish
 from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.serial import sweep
@@ -143,10 +145,7 @@ def run_stage(
     """One method; every list that overflows is allocated anew and larger."""
     newton = stage.name == "newton"
     problem = with_loops(problem, lists, products=newton)
-    if isinstance(stage.minimiser, LBFGS) and all_loop(problem, lists):
-        run = _Looped(stage.minimiser, limits)
-    else:
-        run = _Compiled(stage, limits, problem)
+    run = _path(problem, lists, stage, limits)
     steps = rebuilds = overflows = 0
     memory = None
     if stage.minimiser is not None and (collide is not None or observe is not None):
@@ -248,6 +247,21 @@ class _Compiled:
         assert minimiser is not None
         end = _descend(problem, lists, minimiser, *bounds, memory)
         return _outcome(end, end.memory, int(end.steps), int(end.rebuilds))
+
+
+def _path(
+    problem: Problem, lists: Lists, stage: Stage, limits: Limits
+) -> _Looped | _Compiled:
+    """What runs a method for this problem; of L-BFGS it is noted."""
+    if isinstance(stage.minimiser, LBFGS):
+        why_not, terms = why_not_looped(problem), how_terms_run(problem, lists)
+        without = [name for name, how in terms.items() if how != "loop"]
+        if why_not is None and without:
+            why_not = f"there is no loop for {', '.join(without)}"
+        note_descent(why_not, terms)
+        if why_not is None:
+            return _Looped(stage.minimiser, limits)
+    return _Compiled(stage, limits, problem)
 
 
 def _outcome(end: Any, memory: PyTree, steps: int, rebuilds: int) -> _Outcome:
