@@ -360,6 +360,7 @@ def _refusals() -> Iterator[None]:
 def _configure() -> None:
     """Set JAX up: 64 bits, quiet, compiled programs kept on disk between runs."""
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    warnings.formatwarning = lambda message, *_, **__: f"jaxgrow: warning: {message}\n"
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -368,7 +369,22 @@ def _configure() -> None:
         jax.config.update("jax_compilation_cache_dir", str(directory))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
-    warnings.formatwarning = lambda message, *_, **__: f"jaxgrow: warning: {message}\n"
+    _require_device()
+
+
+def _require_device() -> None:
+    """Refuse to go on if JAX has no device of the kind that it was told to use."""
+    import jax
+
+    try:
+        jax.devices()
+    # JAX fails by an assertion where it knows a platform whose plugin is missing
+    except (RuntimeError, AssertionError) as error:
+        platforms = jax.config.values["jax_platforms"]
+        raise _Refusal(
+            f"JAX_PLATFORMS is {platforms!r}, and JAX finds no such device here; "
+            "install JAX for it, or set JAX_PLATFORMS=cpu."
+        ) from error
 
 
 def _flat(entries: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:

@@ -1,12 +1,12 @@
 """The command line: exit statuses, sentences, and what it leaves in the folder."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
 import textwrap
 import time
-from importlib.metadata import version
 from pathlib import Path
 
 import jax
@@ -15,7 +15,6 @@ import pytest
 import trimesh
 
 from jaxgrow.cli import combine, main
-from jaxgrow.compile_cache import compile_cache
 from jaxgrow.scene import Myoma, Polyp
 
 
@@ -285,23 +284,19 @@ def test_other_kind_of_lesion_drops_what_only_the_former_has(tmp_path):
     assert scene.lesion == Polyp(site="cervix")
 
 
-def test_compile_cache_can_be_switched_off(monkeypatch):
-    monkeypatch.setenv("JAXGROW_XLA_CACHE", "off")
-    assert compile_cache() is None
-
-
-def test_compile_cache_respects_jax_own_variable(monkeypatch, tmp_path):
-    monkeypatch.delenv("JAXGROW_XLA_CACHE")
-    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
-    assert compile_cache() == tmp_path
-
-
-def test_compile_cache_is_one_for_each_jaxlib(monkeypatch):
-    monkeypatch.delenv("JAXGROW_XLA_CACHE")
-    folder = compile_cache()
-    assert folder is not None
-    assert folder.parent == Path.home() / ".cache/jaxgrow/xla"
-    assert version("jaxlib") in folder.name
+@pytest.mark.parametrize("platform", ["cuda", "abacus"])
+def test_device_that_is_not_there_is_told_in_one_line(platform, tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "jaxgrow", "grow", "--out", str(tmp_path / "run")],
+        env={**os.environ, "JAX_PLATFORMS": platform},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2
+    assert done.stderr.splitlines() == [
+        f"jaxgrow: JAX_PLATFORMS is {platform!r}, and JAX finds no such device here; "
+        "install JAX for it, or set JAX_PLATFORMS=cpu."
+    ]
 
 
 def test_ctrl_c_ends_with_130_and_leaves_nothing(tmp_path):
