@@ -27,14 +27,15 @@ def pair():
 def test_report_tells_what_ran(tiny_cluster):
     found = make_report(tiny_cluster, None)["loops"]
     count = found.pop("by_loop")
-    assert found == {"ran": True, "by_program": 0, "reason": None}
+    terms = {"pair": "loop"}
+    assert found == {"ran": True, "by_program": 0, "reason": None, "terms": terms}
     assert count >= tiny_cluster.events.divisions
 
 
 def test_a_loop_counts_as_one(pair):
     with count_descents() as seen:
         relax(pair)
-    assert seen == Descents(by_loop=1)
+    assert seen == Descents(by_loop=1, terms={"pair": "loop"})
 
 
 def test_refused_loop_counts_as_a_program_with_its_reason(pair, monkeypatch):
@@ -48,6 +49,7 @@ def test_refused_loop_counts_as_a_program_with_its_reason(pair, monkeypatch):
         "by_loop": 0,
         "by_program": 1,
         "reason": "the loop is on holiday",
+        "terms": {"pair": "loop"},
     }
 
 
@@ -67,8 +69,10 @@ def test_other_methods_have_no_loop_and_are_not_counted(pair):
 
 def test_counts_do_not_mix():
     with count_descents() as outer:
-        note_descent(None)
+        note_descent(None, {"pair": "loop"})
         with count_descents() as inner:
-            note_descent("a reason")
-    note_descent(None)
-    assert (outer, inner) == (Descents(1), Descents(0, 1, "a reason"))
+            note_descent("a reason", {"pair": "XLA"})
+    note_descent(None, {"pair": "loop"})
+    loop, program = {"pair": "loop"}, {"pair": "XLA"}
+    assert outer == Descents(1, terms=loop)
+    assert inner == Descents(0, 1, "a reason", program)

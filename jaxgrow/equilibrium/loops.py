@@ -23,12 +23,14 @@ from jaxgrow.energy.contact import CONTACT
 from jaxgrow.energy.pair import PAIRS
 from jaxgrow.energy.term import MembraneTerm, Term
 from jaxgrow.equilibrium.roots import (
+    BUFFERS,
     collision_root,
     contact_root,
     element_root,
     Kind,
     pair_root,
 )
+from jaxgrow.kernels.arguments import checked
 from jaxgrow.kernels.ffi import registered, target
 from jaxgrow.kernels.printer import UnprintableError
 from jaxgrow.kernels.roots import load
@@ -96,6 +98,9 @@ def wired(problem: "Problem", lists: "Lists") -> list[Wired]:
         numbers = _numbers(problem, COLLISION, parameters.collision_range, half)
         own = c.vertex, c.corners, c.apart, c.vertex_margin, c.edges, c.edge_margin
         terms.append(Wired("collision", (*own, numbers)))
+    for term in terms:
+        buffers = BUFFERS.get(term.name, BUFFERS["elements"])
+        checked(term.name, [buffer.argument for buffer in buffers], term.buffers)
     return terms
 
 

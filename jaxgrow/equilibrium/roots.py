@@ -24,6 +24,33 @@ Kind = Literal["force", "product"]
 
 _NUMBERS = Buffer("numbers", "reals")
 
+BUFFERS = {
+    "pair": (Buffer("tumour", "flags"), Buffer("listed", "short", 2), _NUMBERS),
+    "contact": (
+        Buffer("alive", "flags"),
+        Buffer("particle", "short"),
+        Buffer("corners", "long", 2),
+        Buffer("real", "flags"),
+        _NUMBERS,
+    ),
+    "collision": (
+        Buffer("vertex", "long"),
+        Buffer("corners", "long", 2),
+        Buffer("apart", "flags"),
+        Buffer("margin", "reals"),
+        Buffer("edges", "long", 2),
+        Buffer("edge_margin", "reals"),
+        _NUMBERS,
+    ),
+    "elements": (
+        Buffer("stencil", "long", 2),
+        Buffer("rest", "reals", 2),
+        Buffer("alive", "flags"),
+        _NUMBERS,
+    ),
+}
+"""What the roots read, by the kind of the term."""
+
 
 def _names(prefix: str, count: int) -> tuple[str, ...]:
     return tuple(f"{prefix}{number}" for number in range(count))
@@ -112,8 +139,7 @@ def pair_root(kind: Kind) -> Root:
         call = f"pair.add_products(law, {given}, along[:count], out[:count])"
     else:
         loops = _RENEW.format(p=_tuple(1, len(PAIRS.parameters)))
-    buffers = (Buffer("tumour", "flags"), Buffer("listed", "short", 2), _NUMBERS)
-    return Root(f"pair_{kind}", (law,), loops, buffers, (call,))
+    return Root(f"pair_{kind}", (law,), loops, BUFFERS["pair"], (call,))
 
 
 _RENEW = """
@@ -138,14 +164,7 @@ def contact_root(kind: Kind) -> Root:
     if kind == "product":
         results = "along[:count], along[count:], out[:count], out[count:]"
         call = f"contact.add_products(law, {given}, {results})"
-    buffers = (
-        Buffer("alive", "flags"),
-        Buffer("particle", "short"),
-        Buffer("corners", "long", 2),
-        Buffer("real", "flags"),
-        _NUMBERS,
-    )
-    return Root(f"contact_{kind}", (law,), "", buffers, (call,))
+    return Root(f"contact_{kind}", (law,), "", BUFFERS["contact"], (call,))
 
 
 def collision_root(kind: Kind) -> Root:
@@ -175,15 +194,7 @@ def collision_root(kind: Kind) -> Root:
         f"collision.add_{add}(law, wall, {vertices}, {p}, {results})",
         f"collision.add_{add}_of_edges(wall_of_edges, {edges}, {p}, {results})",
     )
-    buffers = (
-        Buffer("vertex", "long"),
-        Buffer("corners", "long", 2),
-        Buffer("apart", "flags"),
-        Buffer("margin", "reals"),
-        Buffer("edges", "long", 2),
-        Buffer("edge_margin", "reals"),
-        _NUMBERS,
-    )
+    buffers = BUFFERS["collision"]
     return Root(f"collision_{kind}", functions, "", buffers, statements)
 
 
@@ -226,10 +237,5 @@ def element_root(term: Term, rest: int, kind: Kind) -> Root:
         "",
     ]
     call = f"add(nodes, along, stencil, rest, alive, {_tuple(0, count)}, out)"
-    buffers = (
-        Buffer("stencil", "long", 2),
-        Buffer("rest", "reals", 2),
-        Buffer("alive", "flags"),
-        _NUMBERS,
-    )
-    return Root(f"{term.name}_{kind}", (own,), "\n".join(lines), buffers, (call,))
+    source = "\n".join(lines)
+    return Root(f"{term.name}_{kind}", (own,), source, BUFFERS["elements"], (call,))

@@ -59,19 +59,24 @@ class Argument:
         return f"{self.dtype} of rank {self.rank}"
 
 
-def codes_of(arguments: Sequence[Argument], results: Sequence[Argument]) -> np.ndarray:
+def codes_of(
+    arguments: Sequence[Argument], results: Sequence[Argument], *, more: bool = False
+) -> np.ndarray:
     """Write types and ranks as the constant that `frames.mismatch` compares with.
 
     Args:
         arguments: of the handler, in their order.
         results: likewise.
+        more: whether further arguments may follow, which the caller checks.
 
     Returns:
-        The number of arguments, that of results, and for each of them, in this order,
-        256 times XLA's number of its type plus its rank.
+        Twice the number of arguments, and 1 if more may follow; the number of results;
+        and for each of them, in this order, 256 times XLA's number of its type plus its
+        rank.
     """
     both = [256 * DATA_TYPES[one.dtype] + one.rank for one in (*arguments, *results)]
-    return np.array([len(arguments), len(results), *both], np.int64)
+    count = 2 * len(arguments) + more
+    return np.array([count, len(results), *both], np.int64)
 
 
 def checked(

@@ -12,6 +12,7 @@ import numpy as np
 from numba import cfunc, njit
 
 from jaxgrow.kernels import frames
+from jaxgrow.kernels.arguments import Argument, codes_of
 from jaxgrow.kernels.layout import (
     Bounds,
     Lists,
@@ -29,6 +30,40 @@ SCENE, BOUNDS, ADDRESSES, WIRING, BUFFERS = 0, 6, 7, 8, 9
 
 WIDE, NEAR, NOW, MEMORY, END = 0, 15, 30, 39, 44
 """Likewise of the results, and of all of them."""
+
+
+_REAL, _WHOLE, _SHORT, _FLAG = np.float64, np.int64, np.int32, np.bool_
+ARGUMENTS = (
+    *(Argument("alive", _FLAG, 1), Argument("free", _FLAG, 1)),
+    *(Argument("faces", _WHOLE, 2), Argument("face_alive", _FLAG, 1)),
+    *(Argument("load", _REAL, 2), Argument("still", _REAL, 2)),
+    Argument("bounds", _REAL, 1),
+    *(Argument("addresses", _WHOLE, 1), Argument("wiring", _WHOLE, 2)),
+)
+"""Fields of `Scene`, `Bounds`, and the roots; buffers and what changes follow."""
+
+_OF_LISTS = (
+    *(Argument("listed", _SHORT, 2), Argument("listed_at", _REAL, 2)),
+    *(Argument("particle", _SHORT, 1), Argument("face", _SHORT, 1)),
+    *(Argument("corners", _WHOLE, 2), Argument("real", _FLAG, 1)),
+    *(Argument("touching", _REAL, 2), Argument("touched", _REAL, 2)),
+    *(Argument("vertex", _WHOLE, 1), Argument("corners_of_pair", _WHOLE, 2)),
+    *(Argument("apart", _FLAG, 1), Argument("vertex_margin", _REAL, 1)),
+    *(Argument("edges", _WHOLE, 2), Argument("edge_margin", _REAL, 1)),
+    Argument("collided", _REAL, 2),
+)
+RESULTS = (
+    *_OF_LISTS,
+    *_OF_LISTS,
+    *(Argument(f"positions_{k}", _REAL, 2) for k in range(7)),
+    *(Argument("residual", _REAL, 1), Argument("counts", _WHOLE, 1)),
+    *(Argument("displacement", _REAL, 3), Argument("change", _REAL, 3)),
+    *(Argument("inverse", _REAL, 1), Argument("oldest", _WHOLE, 1)),
+    Argument("scale", _REAL, 1),
+)
+"""Fields of the wide `Lists`, of the near ones, of `Now` and of `Memory`."""
+
+_CODES = codes_of(ARGUMENTS, RESULTS, more=True)
 
 
 @njit(cache=True)
@@ -119,6 +154,9 @@ def handler(frame: int) -> int:
     """For XLA: arguments and results as told above."""
     if frames.answers_version(frame):
         return 0
+    bad = frames.mismatch(frame, _CODES)
+    if bad:
+        return frames.refuse(frame, bad)
     changed = frames.count_arguments(frame) - END
     frames.keep(frame, changed, END)
     scene = Scene(

@@ -137,22 +137,15 @@ def size(frame_at: int, number: int, axis: int) -> int:
 @no_type_check
 def rank(frame_at: int, number: int) -> int:
     """Number of axes of an argument."""
-    buffers = _words(_words(frame_at, 15)[_ARGUMENTS], number + 1)
-    return _words(buffers[number], 6)[_RANK]
+    buffers = _words(_words(frame_at, ARGUMENTS + 1)[ARGUMENTS], number + 1)
+    return _words(buffers[number], RANK + 1)[RANK]
 
 
 @njit(cache=True)
 @no_type_check
 def count_arguments(frame_at: int) -> int:
     """Number of arguments."""
-    return _words(frame_at, 15)[_ARGUMENTS - 2]
-
-
-@njit(cache=True)
-@no_type_check
-def count_results(frame_at: int) -> int:
-    """Number of results."""
-    return _words(frame_at, 15)[_RESULTS - 2]
+    return _words(frame_at, ARGUMENT_COUNT + 1)[ARGUMENT_COUNT]
 
 
 @njit(cache=True)
@@ -227,13 +220,15 @@ def mismatch(frame_at: int, codes: np.ndarray) -> int:
         those declared; otherwise what `refuse` makes an error of.
     """
     frame = _words(frame_at, RESULTS + 1)
-    arguments, results = codes[0], codes[1]
-    if frame[ARGUMENT_COUNT] != arguments or frame[RESULT_COUNT] != results:
+    arguments, results, given = codes[0] >> 1, codes[1], frame[ARGUMENT_COUNT]
+    more = given - arguments
+    if more < 0 or (more > 0 and not codes[0] & 1) or frame[RESULT_COUNT] != results:
         return -1
     for k in range(arguments + results):
-        buffer = _buffer(frame, k, arguments)
+        place = k if k < arguments else k + more
+        buffer = _buffer(frame, place, given)
         if 256 * np.int64(np.int32(buffer[TYPE])) + buffer[RANK] != codes[2 + k]:
-            return (k + 1) << 32 | codes[2 + k]
+            return (place + 1) << 32 | codes[2 + k]
     return 0
 
 

@@ -10,6 +10,7 @@ A root is given the address of a table of whole numbers: for each of its buffers
 address and two lengths, then for each working array likewise.
 """
 
+import contextlib
 import functools
 import hashlib
 import os
@@ -22,6 +23,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
+
+from jaxgrow.compile_cache import may_be_written, private_folder
+from jaxgrow.kernels.arguments import Argument
 from jaxgrow.kernels.printer import print_function
 
 
@@ -38,6 +43,11 @@ class Buffer:
     name: str
     kind: str
     rank: int = 1
+
+    @property
+    def argument(self) -> Argument:
+        """What an array must be to be read as this."""
+        return Argument(self.name, _DTYPES[self.kind], self.rank)
 
 
 @dataclass(frozen=True)
@@ -81,6 +91,13 @@ _READERS = {
     "flags": "booleans",
     "short": "indices",
     "long": "long_indices",
+}
+
+_DTYPES = {
+    "reals": np.float64,
+    "flags": np.bool_,
+    "short": np.int32,
+    "long": np.int64,
 }
 
 _HEAD = '''"""Printed by jaxgrow from the energy of one element; changes are lost."""
@@ -139,23 +156,19 @@ def _main(root: Root) -> str:
 def cache_folder() -> Path:
     """Folder of printed loops; where none is writable, one that is deleted."""
     choice = os.environ.get("JAXGROW_LOOPS_CACHE")
-    home = os.environ.get("XDG_CACHE_HOME")
-    try:
-        folder = (
-            Path(choice)
-            if choice
-            else (Path(home) if home else Path.home() / ".cache") / "jaxgrow/loops"
-        )
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
+    with contextlib.suppress(OSError, RuntimeError):
+        folder = Path(choice) if choice else Path.home() / ".cache/jaxgrow/loops"
+        if may_be_written(folder):
+            folder.mkdir(parents=True, exist_ok=True)
             return folder
-    except (OSError, RuntimeError):
-        temporary = tempfile.TemporaryDirectory(prefix="jaxgrow-loops-")
-        _kept.append(temporary)
-        return Path(temporary.name)
+    folder = private_folder("printed")
+    if folder is None:
+        _temporary.append(tempfile.TemporaryDirectory(prefix="jaxgrow-"))
+        folder = Path(_temporary[-1].name)
+    return folder
 
 
-_kept: list[Any] = []
+_temporary: list[tempfile.TemporaryDirectory[str]] = []
 """What must live as long as the process."""
 
 
@@ -226,21 +239,39 @@ def _short(text: str) -> str:
 
 
 def _imported(path: Path) -> ModuleType:
-    """The module of a file; the same one whoever asks."""
+    """The module of a file; the same one whoever asks.
+
+    What numba kept of it is compiled anew if it cannot be read.
+    """
     name = path.stem
-    if name in sys.modules:
-        return sys.modules[name]
-    spec = spec_from_file_location(name, path)
+    if name not in sys.modules:
+        try:
+            sys.modules[name] = _executed(path)
+        # a file that was cut short makes numba's reader raise many things
+        except Exception:
+            for kept in _kept_of(path):
+                kept.unlink(missing_ok=True)
+            sys.modules[name] = _executed(path)
+    return sys.modules[name]
+
+
+def _executed(path: Path) -> ModuleType:
+    spec = spec_from_file_location(path.stem, path)
     assert spec is not None
     assert spec.loader is not None
-    loaded = module_from_spec(spec)
-    sys.modules[name] = loaded
-    try:
-        spec.loader.exec_module(loaded)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    return loaded
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _kept_of(path: Path) -> list[Path]:
+    """What numba kept of a printed file."""
+    named = os.environ.get("NUMBA_CACHE_DIR")
+    return [
+        kept
+        for folder in (path.parent, *([Path(named)] if named else []))
+        for kept in folder.rglob(f"{path.stem}.*.nb?")
+    ]
 
 
 def _write(path: Path, text: str) -> None:

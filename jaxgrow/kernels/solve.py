@@ -20,6 +20,7 @@ import numpy as np
 from numba import cfunc, njit
 
 from jaxgrow.kernels import frames
+from jaxgrow.kernels.arguments import Argument, codes_of
 from jaxgrow.kernels.regrouped import regrouped
 from jaxgrow.kernels.tables import make_tables, run
 from jaxgrow.results import Result
@@ -256,12 +257,35 @@ def solve(
         x[:] = np.nan
 
 
+ARGUMENTS = (
+    Argument("addresses", np.int64, 1),
+    Argument("wiring", np.int64, 2),
+    Argument("alive", np.bool_, 1),
+    Argument("nodes", np.float64, 2),
+    Argument("free", np.bool_, 1),
+    Argument("loose", np.bool_, 1),
+    Argument("force", np.float64, 2),
+    Argument("relative", np.float64, 1),
+    Argument("uneven", np.float64, 2),
+)
+RESULTS = (
+    Argument("displacement", np.float64, 2),
+    Argument("numbers", np.float64, 1),
+    Argument("counts", np.int64, 1),
+)
+
+_CODES = codes_of(ARGUMENTS, RESULTS, more=True)
+
+
 @cfunc(frames.HANDLER, cache=True)
 @no_type_check
 def handler(frame: int) -> int:
     """For XLA: arguments and results as told above."""
     if frames.answers_version(frame):
         return 0
+    bad = frames.mismatch(frame, _CODES)
+    if bad:
+        return frames.refuse(frame, bad)
     roots, most = frames.size(frame, 0, 0), frames.size(frame, 1, 1)
     total, rows = frames.size(frame, 3, 0), frames.size(frame, 4, 0)
     addresses = frames.long_indices(frames.argument(frame, 0), (roots,))

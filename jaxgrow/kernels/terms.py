@@ -11,7 +11,20 @@ import numpy as np
 from numba import cfunc
 
 from jaxgrow.kernels import frames
+from jaxgrow.kernels.arguments import Argument, codes_of
 from jaxgrow.kernels.tables import make_tables, run
+
+
+ARGUMENTS = (
+    Argument("addresses", np.int64, 1),
+    Argument("wiring", np.int64, 2),
+    Argument("alive", np.bool_, 1),
+    Argument("nodes", np.float64, 2),
+    Argument("along", np.float64, 2),
+)
+RESULTS = (Argument("sum", np.float64, 2), Argument("distances", np.float64, 1))
+
+_CODES = codes_of(ARGUMENTS, RESULTS, more=True)
 
 
 @cfunc(frames.HANDLER, cache=True)
@@ -20,6 +33,9 @@ def handler(frame: int) -> int:
     """For XLA: arguments and results as told above."""
     if frames.answers_version(frame):
         return 0
+    bad = frames.mismatch(frame, _CODES)
+    if bad:
+        return frames.refuse(frame, bad)
     roots, most = frames.size(frame, 0, 0), frames.size(frame, 1, 1)
     total = frames.size(frame, 3, 0)
     addresses = frames.long_indices(frames.argument(frame, 0), (roots,))

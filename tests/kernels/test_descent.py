@@ -13,6 +13,7 @@ from jaxgrow.equilibrium.lbfgs import LBFGS
 from jaxgrow.equilibrium.listing import allocate_lists, prepared
 from jaxgrow.equilibrium.looped import descend_by_loop
 from jaxgrow.equilibrium.looped_lists import is_looped
+from jaxgrow.equilibrium.loops import with_loops
 from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.relax import relax
 from jaxgrow.mesh.surface import Surface
@@ -103,7 +104,11 @@ def scene(scenes):
     return problem_of(scenes)
 
 
-by_loop, by_program = eqx.filter_jit(descend_by_loop), eqx.filter_jit(descend)
+_by_loop, by_program = eqx.filter_jit(descend_by_loop), eqx.filter_jit(descend)
+
+
+def by_loop(problem, lists, *limits):
+    return _by_loop(with_loops(problem, lists), lists, *limits)
 
 
 def run(descending, problem, lists, steps, tolerance=1e-7, largest=LARGEST):
