@@ -2,8 +2,8 @@
 
 XLA runs a sum over neighbours on a processor as many small programs with arrays between
 them; a loop keeps a pair in registers. A whole descent is one loop. Where loops cannot
-be used (`refusal` tells why, and is said once), on accelerators, and in 32 bits the same
-is computed by XLA. What the host does with a surface of a few hundred triangles is
+be used (`refusal` tells why, and is said once), on accelerators, and in 32 bits, the
+same is computed by XLA. What the host does with a surface of a few hundred triangles is
 loops always: NumPy would spend most of its time there on calls and on candidates that
 are not near. Tests hold all of it equal to XLA or to all pairs, to rounding. Each loop
 runs on one thread.
@@ -22,11 +22,17 @@ SWITCH = "JAXGROW_KERNELS"
 
 
 @functools.cache
+def _prepared() -> Refusal | None:
+    """Make sure that numba can keep loops and read them; why not, if it cannot."""
+    return import_module("jaxgrow.kernels.loop_cache").prepare()
+
+
+@functools.cache
 def refusal() -> Refusal | None:
     """Find out why no loop may be used here; None if they may."""
     if os.environ.get(SWITCH, "") == "off":
         return Refusal(f"{SWITCH} is off", None)
-    return import_module("jaxgrow.kernels.loop_cache").prepare()
+    return _prepared()
 
 
 def wanted() -> bool:
@@ -49,4 +55,5 @@ def loops(name: str) -> Any:
     Args:
         name: of a module of `jaxgrow.kernels`.
     """
+    _prepared()
     return import_module(f"jaxgrow.kernels.{name}")

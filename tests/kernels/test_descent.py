@@ -16,6 +16,7 @@ from jaxgrow.equilibrium.looped_lists import is_looped
 from jaxgrow.equilibrium.loops import with_loops
 from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.relax import relax
+from jaxgrow.kernels.refusals import Refusal
 from jaxgrow.mesh.surface import Surface
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
@@ -309,5 +310,7 @@ def test_loops_are_used_on_processors_in_64_bits_only(monkeypatch):
         lambda x: x.astype(jnp.float32) if x.dtype == jnp.float64 else x, problem
     )
     assert not is_looped(single)
-    monkeypatch.setattr("jaxgrow.equilibrium.looped_lists.registered", lambda _: False)
+    lists = "jaxgrow.equilibrium.looped_lists"
+    monkeypatch.setattr(f"{lists}.registered", lambda _: False)
+    monkeypatch.setattr(f"{lists}.refused", lambda _: Refusal("a reason", None))
     assert not is_looped(problem)

@@ -118,7 +118,9 @@ def test_loops_know_no_complex_numbers():
 
 def test_codes_are_counts_then_types_and_ranks():
     codes = codes_of([Argument("a", bool, 1)], [Argument("b", "float64", 2)])
-    assert codes.tolist() == [1, 1, 256 * 1 + 1, 256 * 12 + 2]
+    assert codes.tolist() == [2, 1, 256 * 1 + 1, 256 * 12 + 2]
+    more = codes_of([Argument("a", bool, 1)], [Argument("b", "float64", 2)], more=True)
+    assert more.tolist() == [3, *codes.tolist()[1:]]
 
 
 @pytest.fixture
@@ -154,8 +156,8 @@ def test_a_loop_that_cannot_be_had_is_refused_with_the_reason(
     monkeypatch.setattr(where, name, refuse)
     monkeypatch.setattr(ffi, "refused", ffi.refused.__wrapped__)
     with pytest.warns(SlowPathWarning, match=reason):
-        assert not ffi.registered("pair")
-    assert not ffi.registered("pair")  # and says no more
+        assert not ffi.registered("near")
+    assert not ffi.registered("near")  # and says no more
 
 
 def twice(act):

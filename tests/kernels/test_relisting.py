@@ -9,6 +9,7 @@ from jaxgrow.energy.contact import list_contacts
 from jaxgrow.equilibrium.lbfgs import LBFGS
 from jaxgrow.equilibrium.listing import allocate_lists
 from jaxgrow.equilibrium.looped import descend_by_loop
+from jaxgrow.equilibrium.loops import with_loops
 from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.kernels.layout import Touching
 from jaxgrow.parameters import Parameters
@@ -143,6 +144,7 @@ def test_neighbours_are_complete_however_many_went_far(count, slots, moved):
     position[list(who)] += far * rng.normal(size=(len(list(who)), 3))
     problem = Problem.of(crowd(position, slots), None, Parameters())
     limits = (jnp.asarray(n) for n in (1e-9, 0, 0.1))
+    problem = with_loops(problem, lists)
     end = jax.jit(descend_by_loop)(problem, lists, LBFGS(), *limits)
     assert int(end.rebuilds) == 1
     if bool(end.lists.overflow):
