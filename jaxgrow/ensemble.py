@@ -12,7 +12,7 @@ from typing import Any
 
 import jax
 
-from jaxgrow.equilibrium.implicit import is_differentiated
+from jaxgrow.equilibrium.transformations import is_differentiated
 from jaxgrow.grow import grow
 from jaxgrow.growth import Growth
 from jaxgrow.parameters import Parameters

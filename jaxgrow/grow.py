@@ -10,9 +10,12 @@ from jaxtyping import Float
 from jaxgrow.clock import Clock
 from jaxgrow.compilations import count_compilations, forget_now_and_then
 from jaxgrow.descents import count_descents
-from jaxgrow.equilibrium.implicit import is_differentiated
 from jaxgrow.equilibrium.problem import ExtraTerms
 from jaxgrow.equilibrium.stages import exact_tolerance
+from jaxgrow.equilibrium.transformations import (
+    check_transformations,
+    is_differentiated,
+)
 from jaxgrow.events import Event, Events, Start
 from jaxgrow.forks import refuse_forked
 from jaxgrow.growth import Growth, Progress
@@ -25,7 +28,8 @@ from jaxgrow.results import Result
 from jaxgrow.scene import Polyp, Scene
 from jaxgrow.settling import Step
 from jaxgrow.step import enlarge_patch, first_step, is_below, iterate, Iteration
-from jaxgrow.transfer import get_positions
+from jaxgrow.transfer import get_number, get_positions
+from jaxgrow.types import Scalar
 
 
 ENLARGEMENTS = 5
@@ -64,8 +68,10 @@ def grow(
     sheets that meet begin to repel each other; a patch that feels the lesion is
     enlarged. `Growth.mended` counts it. Otherwise the growth ends with its name.
 
-    *Derivatives.* `jax.grad` and `jax.jvp` of any function of the state go through
-    all of it, with respect to the parameters. The discrete choices (who divides, which
+    *Derivatives.* `jax.grad`, `jax.jvp`, `jax.jacfwd` and `jax.jacrev` of any function
+    of the state, and of `size_mm`, go through all of it, with respect to the
+    parameters: `jacfwd` solves once for each of them in every equilibrium, `jacrev`
+    for each result. The discrete choices (who divides, which
     edge is split, which packing an equilibrium is in) are frozen, and each equilibrium
     has its implicit derivative (`jaxgrow.relax`), for which it is relaxed to 1e-10 at
     least. `events` replays the choices of a growth: with its parameters bit for bit,
@@ -104,8 +110,10 @@ def grow(
 
     Raises:
         OrganError: the organ or the site cannot be used.
-        ValueError: JAX computes in 32 bits, the tolerance is not positive, or the
-            events are those of another scene.
+        ValueError: JAX computes in 32 bits, the tolerance is not positive, the
+            events are those of another scene, or a second derivative is taken
+            (`jax.hessian`) or values are withheld (`jax.jit`, `jax.checkpoint`,
+            `jax.vmap`).
         RuntimeError: this process was forked from one that had grown something.
     """
     refuse_forked()
@@ -118,6 +126,7 @@ def grow(
     if max_seconds is not None and not max_seconds > 0:
         raise ValueError(f"max_seconds is {max_seconds}; it must be positive.")
     parameters = as_arrays(parameters or scene.parameters, jnp.float64)
+    check_transformations(parameters)
     clock = Clock()
     with count_compilations() as compilations, count_descents() as descents:
         if events is None:
@@ -270,7 +279,7 @@ def _tight_place(
 
 def end_of(
     scene: Scene,
-    size: float,
+    size: Scalar,
     divisions: int,
     history: list[dict[str, Any]],
     max_divisions: int,
@@ -296,9 +305,12 @@ def _stagnates(history: list[dict[str, Any]], window: int) -> bool:
     A quarter more particles enlarge a free lesion by 7 % in diameter at least.
     """
     former = history[-1]["division"] - window if history else 0
-    before = [r["size_mm"] for r in history if r["division"] <= former]
+    before = [r for r in history if r["division"] <= former]
     if not before:
         return False
     recent = history[len(before) :]
-    stuck = max(record["size_mm"] for record in recent) <= ENLARGING * max(before)
+    old, new = (
+        max(get_number(r["size_mm"]) for r in some) for some in (before, recent)
+    )
+    stuck = new <= ENLARGING * old
     return stuck and all(record.get("colliding") for record in recent)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from jaxgrow.descents import Descents
+from jaxgrow.equilibrium.transformations import check_undifferentiated
 from jaxgrow.events import Events
 from jaxgrow.lesion import lesion_vertices
 from jaxgrow.organ import merge, Merged, Organ, Site
@@ -16,6 +17,7 @@ from jaxgrow.results import Result
 from jaxgrow.scene import Scene
 from jaxgrow.state import State
 from jaxgrow.transfer import get, get_particles, get_surface
+from jaxgrow.types import Scalar
 
 
 if TYPE_CHECKING:
@@ -27,7 +29,7 @@ class Progress(NamedTuple):
 
     Attributes:
         divisions: made so far.
-        size_mm: largest diameter of the lesion now.
+        size_mm: largest diameter of the lesion now, without a derivative.
         target_mm: size asked for, or None.
         target_divisions: divisions asked for, or None.
         residual: largest force left by the last relaxation, in F(0).
@@ -46,16 +48,22 @@ class Progress(NamedTuple):
 class Growth:
     """A grown lesion.
 
+    Where a derivative is taken, state and size carry it. What is made on the host
+    (`particles`, `merged`, `surface`, `mesh`, and so what is audited, drawn or written)
+    has none, and is refused there.
+
     Attributes:
         scene: what was asked for.
         seed: of all random choices.
         tolerance: largest force left in every equilibrium, in F(0).
         state: at the end; lengths in r0.
         result: why it ended.
-        size_mm: largest diameter of the lesion.
+        size_mm: largest diameter of the lesion; where a derivative is taken it is a
+            JAX scalar that carries it, with the two ends of the diameter held fast.
         events: the discrete choices of every step; `jaxgrow.grow` can replay them.
         history: one record an iteration, with the number of its last division, size,
-            steps, residual, counts, seconds, …
+            steps, residual, counts, seconds, …; of all this the size alone has a
+            derivative.
         seconds: by phase.
         compilations: number of programs compiled.
         descents: which path they ran on.
@@ -68,7 +76,7 @@ class Growth:
     tolerance: float
     state: State
     result: Result
-    size_mm: float
+    size_mm: Scalar
     events: Events
     history: tuple[dict[str, Any], ...]
     seconds: dict[str, float]
@@ -104,7 +112,12 @@ class Growth:
         return None if self.ground is None else self.ground.site
 
     def particles(self) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
-        """Positions in mm, in the organ's coordinates, and species of the living."""
+        """Positions in mm, in the organ's coordinates, and species of the living.
+
+        Raises:
+            ValueError: a derivative is being taken.
+        """
+        self._check_undifferentiated("the array of particles")
         position, species = get_particles(self.state.particles)
         frame = self.state.frame
         return get(frame.origin) + float(frame.particle_mm) * position, species
@@ -113,8 +126,10 @@ class Growth:
         """The whole organ with the grown patch in place of the original one.
 
         Raises:
-            ValueError: the cluster grew freely, so there is no organ.
+            ValueError: the cluster grew freely, so there is no organ, or a derivative
+                is being taken.
         """
+        self._check_undifferentiated("the organ's mesh")
         if self.ground is None or self.state.membrane is None:
             raise ValueError(
                 "this cluster grew without an organ, so it has no surface; "
@@ -138,7 +153,8 @@ class Growth:
         """Vertices (mm), faces and labels (0 healthy, 1 lesion) of the whole organ.
 
         Raises:
-            ValueError: the cluster grew freely, so there is no organ.
+            ValueError: the cluster grew freely, so there is no organ, or a derivative
+                is being taken.
         """
         merged = self.merged()
         label = np.zeros(len(merged.vertices), dtype=np.uint8)
@@ -149,11 +165,20 @@ class Growth:
         """The whole organ with the lesion; `vertex_attributes["label"]` marks it.
 
         Raises:
-            ValueError: the cluster grew freely, so there is no organ.
+            ValueError: the cluster grew freely, so there is no organ, or a derivative
+                is being taken.
         """
         import trimesh
 
         vertices, faces, label = self.surface()
         return trimesh.Trimesh(
             vertices, faces, process=False, vertex_attributes={"label": label}
+        )
+
+    def _check_undifferentiated(self, what: str) -> None:
+        check_undifferentiated(
+            self.state,
+            what,
+            "differentiate jaxgrow.shape_metrics(growth.state), growth.size_mm or "
+            "growth.state itself",
         )

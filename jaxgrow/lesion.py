@@ -1,20 +1,24 @@
-"""Which part of the surface is the lesion, and how large it is, on the host."""
+"""Which part of the surface is the lesion, and how large it is: found on the host."""
 
 from contextlib import suppress
 
+import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree, QhullError
 from scipy.spatial.distance import pdist
 
+from jaxgrow.equilibrium.transformations import is_differentiated
 from jaxgrow.mesh.proximity import nearest_on_mesh
 from jaxgrow.mesh.quality import area_vectors
 from jaxgrow.mesh.topology import build_topology
+from jaxgrow.numerics import safe_norm
 from jaxgrow.scene import Myoma, Scene
 from jaxgrow.state import Species, State
-from jaxgrow.transfer import get, get_particles, get_surface
+from jaxgrow.transfer import get, get_particles, get_surface, put
+from jaxgrow.types import Scalar
 
 
 RAISED = 0.5
@@ -81,26 +85,59 @@ def lesion_vertices(state: State) -> Bool[np.ndarray, " m"]:
     return raised(state) | (_to_tumour(state, points) < COVERING)
 
 
+def farthest(points: Float[np.ndarray, "n 3"]) -> tuple[int, int]:
+    """The two points that are farthest from each other; 0 and 0 for fewer than two."""
+    if len(points) < 2:
+        return 0, 0
+    some = np.arange(len(points))
+    if len(points) > 50:
+        with suppress(QhullError):  # points in a plane have no hull of volume
+            some = ConvexHull(points).vertices
+    first, second = np.triu_indices(len(some), 1)
+    most = int(pdist(points[some]).argmax())
+    return int(some[first[most]]), int(some[second[most]])
+
+
 def diameter(points: Float[np.ndarray, "n 3"]) -> float:
     """Largest distance of two points; 0 for fewer than two."""
     if len(points) < 2:
         return 0.0
-    if len(points) > 50:
-        with suppress(QhullError):  # points in a plane have no hull of volume
-            points = points[ConvexHull(points).vertices]
-    return float(pdist(points).max())
+    return float(pdist(points[list(farthest(points))])[0])
 
 
-def size_of(scene: Scene, state: State) -> float:
+def size_of(scene: Scene, state: State) -> Scalar:
     """Largest diameter of the lesion, in r0.
 
     Of a polyp: of the raised surface, which is what is seen of it. Of a myoma: of its
     body, the tumour particles with their own diameter r0, part of which stays under
     the surface.
+
+    It is a number; where a derivative of the state is taken, a scalar with the same
+    value and the derivative of the distance between the two farthest points.
     """
     if isinstance(scene.lesion, Myoma):
-        position, species = get_particles(state.particles)
-        return diameter(position[species == Species.TUMOUR]) + 1.0
+        particles = state.particles
+        tumour = get(particles.alive) & (get(particles.species) == Species.TUMOUR)
+        return _diameter_of(particles.position, np.flatnonzero(tumour)) + 1.0
     assert state.membrane is not None
-    points = get(state.membrane.vertices)[get(state.membrane.vertex_alive)]
-    return diameter(points[raised(state)])
+    alive = np.flatnonzero(get(state.membrane.vertex_alive))
+    return _diameter_of(state.membrane.vertices, alive[raised(state)])
+
+
+def _diameter_of(
+    positions: Float[Array, "n 3"], chosen: Int[np.ndarray, " k"]
+) -> Scalar:
+    """Largest distance among some rows."""
+    points = get(positions)[chosen]
+    number = diameter(points)
+    if number == 0 or not is_differentiated(positions):
+        return number
+    length = _distance(positions, put(chosen[list(farthest(points))]))
+    return number + (length - jax.lax.stop_gradient(length))  # with the number's bits
+
+
+@jax.jit
+def _distance(
+    positions: Float[Array, "n 3"], pair: Int[Array, "2"]
+) -> Float[Array, ""]:
+    return safe_norm(positions[pair[0]] - positions[pair[1]])

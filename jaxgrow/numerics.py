@@ -1,4 +1,4 @@
-"""Guards for the few points where a formula of the model is singular."""
+"""Guards: of precision, and for the few points where a formula is singular."""
 
 import jax.numpy as jnp
 from jax.typing import DTypeLike
@@ -56,3 +56,17 @@ def smallest_distance(dtype: DTypeLike) -> float:
     resolve, and large enough that the square of its force does not overflow.
     """
     return 1e-30 if jnp.finfo(dtype).bits > 32 else 1e-12
+
+
+def check_precision(dtype: DTypeLike) -> None:
+    """Refuse arrays of 64 bits where JAX computes in 32.
+
+    Raises:
+        ValueError: it does, and would round some of them and not others.
+    """
+    if jnp.finfo(dtype).bits > 32 and jnp.zeros(()).dtype != jnp.float64:
+        raise ValueError(
+            "the positions have 64 bits and JAX computes in 32 here; stay within the "
+            "`with jax.enable_x64(True):` that they come from, or put "
+            'jax.config.update("jax_enable_x64", True) before everything.'
+        )

@@ -8,11 +8,12 @@ from jaxgrow.growth import Progress
 from jaxgrow.scene import Scene
 from jaxgrow.settling import Settled
 from jaxgrow.state import Species, State
-from jaxgrow.transfer import get
+from jaxgrow.transfer import get, get_number
+from jaxgrow.types import Scalar
 
 
 def make_record(
-    division: int, size_mm: float, state: State, settled: Settled, clock: Clock
+    division: int, size_mm: Scalar, state: State, settled: Settled, clock: Clock
 ) -> dict[str, Any]:
     """The record of an iteration, without what the border of the patch felt.
 
@@ -59,7 +60,7 @@ def make_progress(scene: Scene, record: dict[str, Any], clock: Clock) -> Progres
     """Where a running growth stands."""
     return Progress(
         divisions=record["division"],
-        size_mm=record["size_mm"],
+        size_mm=get_number(record["size_mm"]),
         target_mm=scene.lesion.target_mm,
         target_divisions=scene.lesion.divisions,
         residual=record["residual"],

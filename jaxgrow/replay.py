@@ -7,9 +7,9 @@ import jax
 
 from jaxgrow.clock import Clock
 from jaxgrow.compilations import forget_now_and_then
-from jaxgrow.equilibrium.implicit import is_differentiated
 from jaxgrow.equilibrium.problem import ExtraTerms
 from jaxgrow.equilibrium.stages import exact_tolerance
+from jaxgrow.equilibrium.transformations import is_differentiated
 from jaxgrow.events import Events
 from jaxgrow.growth import Progress
 from jaxgrow.lesion import size_of

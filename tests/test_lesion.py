@@ -1,6 +1,7 @@
 """Which part of the surface is the lesion, and how large it is."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -100,6 +101,34 @@ def test_size_of_a_myoma_is_the_diameter_of_its_body(state):
     scene = Scene(lesion=Myoma(divisions=1))
     wanted = np.linalg.norm([3.0, 0, 1.9]) + 1
     assert size_of(scene, state) == pytest.approx(wanted, rel=1e-14)
+
+
+def test_size_of_a_polyp_carries_the_derivative_of_its_diameter(state):
+    # the diameter lies across the axis
+    def size(factor):
+        across = jnp.stack([factor, factor, jnp.ones(())])
+        wider = eqx.tree_at(
+            lambda s: s.membrane.vertices,
+            state,
+            state.membrane.vertices * across[None, :],
+        )
+        return size_of(Scene(lesion=Polyp(divisions=1)), wider)
+
+    value, slope = jax.value_and_grad(size)(jnp.ones(()))
+    assert value == 2.0
+    assert slope == pytest.approx(2.0, rel=1e-14)
+
+
+def test_size_of_a_myoma_carries_the_derivative_of_its_diameter(state):
+    def size(factor):
+        wider = eqx.tree_at(
+            lambda s: s.particles.position, state, factor * state.particles.position
+        )
+        return size_of(Scene(lesion=Myoma(divisions=1)), wider)
+
+    value, slope = jax.value_and_grad(size)(jnp.ones(()))
+    assert value == size(1.0)
+    assert slope == pytest.approx(np.linalg.norm([3.0, 0, 1.9]), rel=1e-14)
 
 
 def test_no_tumour_means_no_lesion(state):

@@ -10,6 +10,11 @@ from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.loops import with_loops
 from jaxgrow.equilibrium.problem import ExtraTerms, Problem
 from jaxgrow.equilibrium.response import linearise, respond, Response
+from jaxgrow.equilibrium.transformations import (
+    check_transformations,
+    check_undifferentiated,
+)
+from jaxgrow.numerics import check_precision
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
 from jaxgrow.state import Membrane, Nodes, Particles
@@ -80,8 +85,9 @@ def linear_response(
 
     Raises:
         ValueError: there are neither particles nor a membrane, an array has another
-            shape or other numbers than it must, or a vertex has moved since the
-            collisions were listed.
+            shape or other numbers than it must, a vertex has moved since the collisions
+            were listed, a derivative is being taken, values are withheld, or JAX
+            computes in 32 bits and the positions have 64.
     """
     if particles is None and membrane is None:
         raise ValueError("nothing responds: give particles, a membrane, or both.")
@@ -92,9 +98,16 @@ def linear_response(
         accept_vectors("forces.particles", forces.particles, position),
         accept_vectors("forces.vertices", forces.vertices, vertices),
     )
+    check_precision(Problem(particles, membrane, Parameters()).dtype)
     if load is not None:
         load = accept_vectors("load", load, vertices)
     problem = Problem.of(particles, membrane, parameters, load, terms)
+    check_transformations((problem, acting))
+    check_undifferentiated(
+        (problem, acting),
+        "a linear response",
+        "differentiate what jaxgrow.relax returns",
+    )
     lists = _lists(problem, lists)
     found = _respond(with_loops(problem, lists, products=True), lists, acting)
     return LinearResponse(

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxgrow.array_checks import accept_bodies, accept_vectors
-from jaxgrow.equilibrium.implicit import at_equilibrium, is_differentiated, primal
+from jaxgrow.equilibrium.implicit import at_equilibrium, forces_at
 from jaxgrow.equilibrium.listing import (
     allocate_lists,
     CollisionLister,
@@ -28,7 +28,13 @@ from jaxgrow.equilibrium.stages import (
     stages_of,
 )
 from jaxgrow.equilibrium.staggered import stagger
+from jaxgrow.equilibrium.transformations import (
+    check_transformations,
+    is_differentiated,
+    primal,
+)
 from jaxgrow.forks import refuse_forked
+from jaxgrow.numerics import check_precision
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
 from jaxgrow.state import Membrane, Nodes, Particles
@@ -65,7 +71,7 @@ class Relaxation(NamedTuple):
         stats: what it took.
         lists: may be passed to the next call.
         forces: on all nodes, in F(0); on those that are held or pinned, what the
-            border of a patch feels.
+            border of a patch feels. Their derivative is that of the equilibrium's.
     """
 
     state: tuple[Particles | None, Membrane | None]
@@ -125,11 +131,12 @@ def relax(
 
     *Derivatives.* The equilibrium can be differentiated, in forward and reverse mode at
     the price of a linear solve a direction, with respect to parameters, rest lengths,
-    load, and the positions of what is held or pinned (`jaxgrow.equilibrium.implicit`).
-    The tolerance is then 1e-10 at most. Where free nodes started from has no
-    derivative. If the equilibrium was not reached, is not a strict minimum, or its
-    linear system could not be solved, the derivative is NaN; `jaxgrow.linear_response`
-    says which.
+    load, and the positions of what is held or pinned (`jaxgrow.equilibrium.implicit`):
+    by `jax.grad`, `jax.jvp`, `jax.vjp`, `jax.jacfwd` (a solve a parameter) and
+    `jax.jacrev` (a solve a result). The tolerance is then 1e-10 at most. Where free
+    nodes started from has no derivative. If the equilibrium was not reached, is not a
+    strict minimum, or its linear system could not be solved, the derivative is NaN;
+    `jaxgrow.linear_response` says which.
 
     No node moves farther in one step than 0.4 of its distance to what it must not
     cross, so particles stay on their side of the membrane throughout.
@@ -174,8 +181,10 @@ def relax(
 
     Raises:
         ValueError: there is nothing to relax, an array has another shape or other
-            numbers than it must, the tolerance is not positive, or the method is
-            unknown or not for a membrane.
+            numbers than it must, the tolerance is not positive, the method is unknown
+            or not for a membrane, JAX computes in 32 bits and the positions have 64, or
+            a second derivative is taken or values are withheld (`jax.hessian`,
+            `jax.jit`, `jax.checkpoint`, `jax.vmap` over values).
         RuntimeError: this process was forked from one that had computed.
     """
     refuse_forked()
@@ -203,7 +212,9 @@ def relax(
     particles, membrane = accept_bodies(particles, membrane)
     if load is not None:
         load = accept_vectors("load", load, membrane and membrane.vertices)
+    check_precision(Problem(particles, membrane, Parameters()).dtype)
     given = Problem.of(particles, membrane, parameters, load, terms)
+    check_transformations(given)
     differentiated = is_differentiated(given)
     problem = primal(given) if differentiated else given
     own = problem.particles
@@ -254,5 +265,6 @@ def relax(
         valid = result is Result.CONVERGED
         nodes = at_equilibrium(given, problem.nodes(), lists, valid=valid)
         problem = given.at(nodes)
+        forces = forces_at(problem, forces, lists)
     state = problem.particles, problem.membrane
     return Relaxation(state, result, stats, lists, forces)

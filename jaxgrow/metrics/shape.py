@@ -29,7 +29,7 @@ from jaxgrow.metrics.sections import (
     section_heights,
     share_above,
 )
-from jaxgrow.numerics import safe_divide, safe_norm
+from jaxgrow.numerics import check_precision, safe_divide, safe_norm
 from jaxgrow.state import FormerSurface, Membrane, Particles, Species, State
 
 
@@ -126,13 +126,15 @@ def shape_metrics(state: State, *, smoothing: float = 0.0) -> ShapeMetrics:
         Scalars with the units in their names.
 
     Raises:
-        ValueError: the smoothing is negative or not finite.
+        ValueError: the smoothing is negative or not finite, or the state has 64 bits
+            and JAX computes in 32.
     """
     if not 0 <= smoothing < math.inf:
         raise ValueError(
             f"smoothing is {smoothing}; give a length in r0, or 0 for exact metrics."
         )
     dtype = state.frame.particle_mm.dtype
+    check_precision(dtype)
     return _shape_metrics(state, jnp.asarray(smoothing, dtype) if smoothing else None)
 
 

@@ -1,0 +1,91 @@
+"""What JAX's transformations may do to a computation that runs on the host.
+
+Relaxation and growth decide in Python by the numbers that they find (which list is too
+small, who divides), so they need them: under `jax.grad`, `jax.jvp`, `jax.vjp`,
+`jax.linearize`, `jax.jacfwd` and `jax.jacrev` they have them, and nowhere else. Of
+their derivatives there are the first only.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+from jax.core import Tracer
+from jaxtyping import Array, PyTree
+
+
+VALUES_WITHHELD = (
+    "jaxgrow relaxes and grows by Python loops over the numbers it finds, and "
+    "jax.jit, jax.checkpoint and jax.vmap over values withhold them; call it outside "
+    "of them (what it computes is compiled, and of an equilibrium only the end is "
+    "kept), and instead of jax.vmap in a Python loop, or jaxgrow.grow_many."
+)
+
+SECOND_DERIVATIVE = (
+    "an equilibrium has first derivatives only, and this is a second one "
+    "(jax.hessian, jax.grad of jax.grad, …); take differences of jax.grad, or, for a "
+    "sum of squares, J^T J with the Jacobian J of jax.jacfwd."
+)
+
+
+def is_differentiated(tree: PyTree) -> bool:
+    """Whether a derivative is being taken with respect to a leaf."""
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
+
+
+def primal(tree: PyTree) -> PyTree:
+    """The values without their derivatives."""
+    return jax.tree.map(
+        lambda a: jax.lax.stop_gradient(a) if eqx.is_array(a) else a, tree
+    )
+
+
+def check_transformations(tree: PyTree) -> None:
+    """Refuse what cannot be computed with these leaves.
+
+    Raises:
+        ValueError: their values are withheld (`jax.jit`, `jax.checkpoint`, `jax.vmap`
+            over values), or a second derivative is taken.
+    """
+    traced = [leaf for leaf in jax.tree.leaves(tree) if isinstance(leaf, Tracer)]
+    if is_differentiated(primal(traced)):
+        raise ValueError(VALUES_WITHHELD)
+    if traced:
+        _once(*traced)
+
+
+def check_undifferentiated(tree: PyTree, what: str, instead: str) -> None:
+    """Refuse to give numbers of the host that would have no derivative.
+
+    Args:
+        tree: that they are computed from.
+        what: is asked for.
+        instead: how to get a derivative.
+
+    Raises:
+        ValueError: a leaf is differentiated.
+    """
+    if is_differentiated(tree):
+        raise ValueError(
+            f"{what} is computed on the host and has no derivative, and one is being "
+            f"taken here; {instead}, or ask for it outside of jax.grad."
+        )
+
+
+@jax.custom_jvp
+def _once(*leaves: Array) -> tuple[Array, ...]:
+    """The leaves; its rule looks at what is left when a derivative is taken off them.
+
+    A leaf that is still traced then has a second one.
+    """
+    return leaves
+
+
+@_once.defjvp
+def _once_jvp(
+    primals: Sequence[Array], tangents: Sequence[Any]
+) -> tuple[tuple[Array, ...], tuple[Any, ...]]:
+    if is_differentiated(primals):
+        raise ValueError(SECOND_DERIVATIVE)
+    return tuple(primals), tuple(tangents)
