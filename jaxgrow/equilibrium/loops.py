@@ -284,7 +284,7 @@ def solve(
     problem: "Problem",
     lists: "Lists",
     force: Nodes,
-    relative: Scalar,
+    limits: tuple[Scalar, Scalar, Scalar],
     *,
     uneven: Nodes,
     loose: tuple[Bool[Array, ""], Bool[Array, ""]],
@@ -295,7 +295,8 @@ def solve(
         problem: at the equilibrium, with loops of all terms' products.
         lists: valid there.
         force: on every node.
-        relative: residual, over the force, at which to stop.
+        limits: residual, over the force, at which to stop; most products; curvature,
+            over the largest met, below which a direction is a null mode.
         uneven: a force without symmetry.
         loose: whether the whole may shift, and turn.
     """
@@ -315,7 +316,8 @@ def solve(
     x, numbers, counts = jax.ffi.ffi_call(handler("solve"), results)(
         *(problem.loops.product, wiring, alive, place),
         *(rows(problem.free())[:, 0] > 0, jnp.stack(loose), rows(force)),
-        *(jnp.asarray(relative, place.dtype)[None], rows(uneven), *buffers),
+        jnp.stack([jnp.asarray(limit, place.dtype) for limit in limits]),
+        *(rows(uneven), *buffers),
     )
     return Solved(_split(problem, x), numbers, counts)
 

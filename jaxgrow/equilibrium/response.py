@@ -141,7 +141,8 @@ def linearise(problem: Problem, lists: Lists) -> Linearised:
     def respond(vector: Nodes, relative: Scalar) -> Response:
         loose = _unpinned(problem)
         may = loose, loose & _unloaded(problem)
-        found = loops.solve(problem, lists, vector, relative, uneven=uneven, loose=may)
+        limits = relative, MAX_PRODUCTS, _flat(problem.dtype)
+        found = loops.solve(problem, lists, vector, limits, uneven=uneven, loose=may)
         (residual, softest), (products, modes, code) = found.numbers, found.counts
         nodes = found.displacement
         return Response(nodes, residual, products, softest, modes, code)

@@ -63,7 +63,7 @@ def refused(name: str) -> Refusal | None:
     # XLA refuses handlers for another version by an error of its own
     except Exception as error:
         return Refusal(
-            f"jaxlib {version('jaxlib')} does not take them ({said(error)})",
+            f"jaxlib {_jaxlib()} does not take them ({said(error)})",
             f"install jaxlib {NEWEST_VALIDATED_JAXLIB}",
         )
     return None
@@ -81,7 +81,7 @@ def registered(name: str) -> bool:
     """
     found = refused(name)
     if found is None:
-        warn_if_unvalidated(version("jaxlib"))
+        warn_if_unvalidated(_jaxlib())
     else:
         found.say()
     return found is None
@@ -101,6 +101,12 @@ def warn_if_unvalidated(jaxlib: str) -> None:
             "JAXGROW_KERNELS=off to be safe (growths take up to four times longer).",
             UnvalidatedVersionWarning,
         )
+
+
+@functools.cache
+def _jaxlib() -> str:
+    """The version of jaxlib; to look for it takes longer than a small descent."""
+    return version("jaxlib")
 
 
 def _numbers(release: str) -> list[int]:

@@ -7,8 +7,9 @@ signs z), which takes a third to a half of the products; where rigid modes have 
 projected out they are not.
 
 Arguments: addresses of the roots, their wiring, which particles are alive, nodes, which
-of them are free, whether the whole may shift and turn, the force, the relative residual
-to stop at, a force without symmetry, and the buffers. Results: the displacement; its
+of them are free, whether the whole may shift and turn, the force, limits (relative residual to
+stop at, most products, and least curvature over the largest met), a force without
+symmetry, and the buffers. Results: the displacement; its
 residual and the smallest curvature met; numbers of products and of null modes, and the
 code of the `Result`.
 """
@@ -28,12 +29,6 @@ from jaxgrow.results import Result
 
 CONVERGED, SINGULAR = Result.CONVERGED.code, Result.SINGULAR.code
 NOT_SOLVED = Result.NOT_SOLVED.code
-
-MAX_PRODUCTS = 4000
-"""Bound on the Hessian products of one response."""
-
-FLAT = 1e-9
-"""Curvature, over the largest met, below which a direction is a null mode."""
 
 _PROBES = 6
 """Random vectors that the diagonal is estimated with; each is a product."""
@@ -170,7 +165,7 @@ def solve(
     free: np.ndarray,
     loose: np.ndarray,
     force: np.ndarray,
-    relative: float,
+    limits: np.ndarray,
     uneven: np.ndarray,
     way: np.ndarray,
     product: np.ndarray,
@@ -180,6 +175,7 @@ def solve(
 ) -> None:
     """Write the response to a force; see the module."""
     rows = len(free)
+    relative, most, least = limits[0], limits[1], limits[2]
     hp = product[:rows]
     _multiply(addresses, tables, free, uneven, way, product)
     touching, null_modes = np.zeros(rows, np.bool_), 0
@@ -206,7 +202,7 @@ def solve(
     x[:] = 0.0
     square, before, goal = size, 1.0, relative * relative * size
     stiffest, softest, flat, first, scaled = 0.0, np.inf, False, True, 0.0
-    while counts[0] < MAX_PRODUCTS and not flat:
+    while counts[0] < most and not flat:
         for i in range(rows):
             for axis in range(3):
                 z[i, axis] = scales[i] * r[i, axis]
@@ -226,7 +222,7 @@ def solve(
         length, along = _dot(p, p), _dot(p, hp)
         curvature = along / length
         stiffest = max(stiffest, abs(curvature))
-        flat = not curvature > FLAT * stiffest
+        flat = not curvature > least * stiffest
         softest = min(softest, curvature)
         if flat:
             break
@@ -265,7 +261,7 @@ ARGUMENTS = (
     Argument("free", np.bool_, 1),
     Argument("loose", np.bool_, 1),
     Argument("force", np.float64, 2),
-    Argument("relative", np.float64, 1),
+    Argument("limits", np.float64, 1),
     Argument("uneven", np.float64, 2),
 )
 RESULTS = (
@@ -301,7 +297,7 @@ def handler(frame: int) -> int:
         frames.booleans(frames.argument(frame, 4), (rows,)),
         frames.booleans(frames.argument(frame, 5), (2,)),
         frames.reals(frames.argument(frame, 6), (rows, 3)),
-        frames.reals(frames.argument(frame, 7), (1,))[0],
+        frames.reals(frames.argument(frame, 7), (3,)),
         frames.reals(frames.argument(frame, 8), (rows, 3)),
         way,
         product,
