@@ -7,11 +7,11 @@ signs z), which takes a third to a half of the products; where rigid modes have 
 projected out they are not.
 
 Arguments: addresses of the roots, their wiring, which particles are alive, nodes, which
-of them are free, whether the whole may shift and turn, the force, limits (relative residual to
-stop at, most products, and least curvature over the largest met), a force without
-symmetry, and the buffers. Results: the displacement; its
-residual and the smallest curvature met; numbers of products and of null modes, and the
-code of the `Result`.
+of them are free, whether the whole may shift and turn, the force, limits (relative
+residual to stop at, most products, and least curvature over the largest met), a force
+without symmetry, and the buffers. Results: the displacement; its residual and the
+smallest curvature met; numbers of products and of null modes, and the code of the
+`Result`.
 """
 
 import math

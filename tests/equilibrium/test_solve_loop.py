@@ -1,0 +1,84 @@
+"""The loop of conjugate gradients finds what XLA's does."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxgrow.equilibrium import response
+from jaxgrow.equilibrium.loops import with_loops
+from jaxgrow.equilibrium.problem import Problem
+from jaxgrow.equilibrium.relax import relax
+from jaxgrow.equilibrium.response import linearise, probe, solve
+from jaxgrow.parameters import Parameters
+from jaxgrow.results import Result
+
+
+@pytest.fixture(scope="module", params=["bed", "drop", "sheet"])
+def scene(request, bed, make_particles, make_membrane):
+    """A pinned bed, a drop with six rigid modes, a sheet."""
+    rng = np.random.default_rng(3)
+    drop = make_particles(rng.uniform(0, 3, (40, 3)))
+    bodies = {"bed": bed, "drop": (drop, None), "sheet": (None, make_membrane())}
+    outcome = relax(*bodies[request.param], tolerance=1e-12)
+    assert outcome.result is Result.CONVERGED
+    return Problem.of(*outcome.state, Parameters()), outcome.lists
+
+
+@eqx.filter_jit
+def solved(problem, lists, force):
+    linear = linearise(problem, lists)
+    return solve(linear, force), probe(linear)
+
+
+def force_on(problem, seed=0):
+    rng = np.random.default_rng(seed)
+    return jax.tree.map(
+        lambda x: jnp.asarray(rng.normal(size=x.shape)), problem.nodes()
+    )
+
+
+def test_response_is_that_of_the_program(scene):
+    problem, lists = scene
+    looped = with_loops(problem, lists, products=True)
+    assert linearise(looped, lists).respond is not None
+    assert linearise(problem, lists).respond is None
+    force = force_on(problem)
+    found, wanted = (solved(p, lists, force)[0] for p in (looped, problem))
+    assert int(found.code) == int(wanted.code) == Result.CONVERGED.code
+    assert int(found.null_modes) == int(wanted.null_modes)
+    assert float(found.residual) < 1e-9
+    for a, b in zip(*map(jax.tree.leaves, (found.nodes, wanted.nodes)), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-7 * float(jnp.abs(b).max()))
+
+
+def test_minimum_is_proved_as_by_the_program(scene):
+    problem, lists = scene
+    looped = with_loops(problem, lists, products=True)
+    force = force_on(problem)
+    found, wanted = (solved(p, lists, force)[1] for p in (looped, problem))
+    assert int(found.code) == int(wanted.code) == Result.CONVERGED.code
+
+
+def test_saddle_is_not_proved_a_minimum(make_particles):
+    # three in a row that repel each other: the middle one gives way sideways
+    row = make_particles([[0, 0, 0], [0.999, 0, 0], [1.998, 0, 0]])
+    squeezed = row.at(0.9 * row.position)
+    problem = Problem.of(squeezed, None, Parameters())
+    lists = relax(row, max_steps=1).lists
+    looped = with_loops(problem, lists, products=True)
+    found, wanted = (solved(p, lists, force_on(p))[1] for p in (looped, problem))
+    assert int(found.code) == int(wanted.code) == Result.SINGULAR.code
+    assert all(bool(jnp.isnan(x).all()) for x in jax.tree.leaves(found.nodes))
+
+
+def test_bound_on_products_is_kept(scene, monkeypatch):
+    problem, lists = scene
+    monkeypatch.setattr(response, "MAX_PRODUCTS", 9)
+    looped = with_loops(problem, lists, products=True)
+    found = eqx.filter_jit(lambda p, f: solve(linearise(p, lists), f))(
+        looped, force_on(problem)
+    )
+    assert int(found.code) == Result.NOT_SOLVED.code
+    assert int(found.products) <= 9
