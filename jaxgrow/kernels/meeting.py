@@ -1,4 +1,9 @@
-"""The loop over triangles of `jaxgrow.mesh.intersection` that finds which intersect."""
+"""The loop over triangles of `jaxgrow.mesh.intersection` that finds which intersect.
+
+ipctk, which only tells whether any do, takes 1.0 to 1.3 times as long; of 302 pairs of
+triangles that meet it misses 6 that touch, and tells that 292 of 608 segments meet
+triangles that they miss (experiments/libraries.py).
+"""
 
 import math
 from typing import no_type_check

@@ -1,6 +1,9 @@
 """The loops that ask a tree of boxes for the triangle of a mesh nearest to a point.
 
-`jaxgrow.mesh.proximity.Proximity` uses them.
+`jaxgrow.mesh.proximity.Proximity` uses them. libigl takes 1.1 to 1.4 times as long for
+closest points (0.8 where 81 920 faces are sorted first), 1.2 to 2.1 times for the
+weights of corners there, and is wrong for 12 of 500 points around triangles without an
+area (experiments/libraries.py).
 """
 
 from typing import no_type_check

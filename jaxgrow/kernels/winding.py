@@ -1,4 +1,9 @@
-"""The loop over points and faces of `jaxgrow.mesh.winding`."""
+"""The loop over points and faces of `jaxgrow.mesh.winding`.
+
+libigl takes 1.5 to 6 times as long for 100 to 1 000 points (half as long for 2 000 and
+81 920 faces), and of 802 points on a surface tells 324 to be inside or outside, where
+this loop tells none (experiments/libraries.py).
+"""
 
 import math
 from typing import no_type_check

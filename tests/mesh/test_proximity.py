@@ -1,5 +1,6 @@
 """Exact distances."""
 
+import igl
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -109,7 +110,6 @@ def test_no_triangle_is_missed_from_far_away_in_its_plane(flat):
 
 
 def test_distances_to_a_sphere_agree_with_libigl(sphere):
-    igl = pytest.importorskip("igl")
     surface = sphere(3, 5.0)
     points = 4 * np.random.default_rng(0).normal(size=(500, 3))
     distance, _, _ = nearest_on_mesh(points, surface.vertices, surface.faces)

@@ -1,5 +1,6 @@
 """Sides of a closed surface."""
 
+import igl
 import numpy as np
 import pytest
 
@@ -49,7 +50,6 @@ def test_a_surface_inside_another_counts_twice(sphere):
 
 
 def test_the_number_agrees_with_libigl_on_an_open_surface(grid):
-    igl = pytest.importorskip("igl")
     surface = grid(5)
     points = np.random.default_rng(0).normal(size=(100, 3)) * 3
     number = winding_number(points, surface.vertices, surface.faces)
