@@ -15,7 +15,13 @@ whose mesh has edges along the axis the energy per area tends to
 Springs alone have no stiffness against bending, so that a membrane follows every
 particle beneath it and folds at the foot of a lesion. The paper has no such term;
 :math:`\kappa = 0` is its model. Lengths and areas are those of when the springs were
-last reset. The angle at rest :math:`\theta^0` is 0: the surface wants to be flat.
+last reset. The angle at rest :math:`\theta^0` is 0: the surface wants to be flat. (With
+an angle that is reset too, a polyp is as creased as without bending:
+``experiments/creases.py``.)
+
+The angle's derivative is the inverse of the triangles' heights, so a sliver's hinge would
+be stiffer than all the rest by many orders. Weights of hinges whose triangles are lower
+than a tenth of the edge therefore fade with the third power of that height.
 """
 
 from typing import Any
@@ -27,6 +33,10 @@ from jaxgrow.energy.term import MembraneTerm
 from jaxgrow.energy.vectors import cross, dot, minus, norm
 from jaxgrow.state import Membrane
 from jaxgrow.types import Columns
+
+
+FLAT = 0.1
+"""Height of a triangle over the edge's length below which its hinge fades."""
 
 
 class Bending(MembraneTerm):
@@ -50,11 +60,14 @@ class Bending(MembraneTerm):
     def rest(self, x: tuple[Columns, ...]) -> Columns:
         """Return the angle 0 and the weight 3 ℓ²/A, both dimensionless."""
         edge = minus(x[1], x[0])
-        area = 0.5 * (
-            norm(cross(edge, minus(x[2], x[0]))) + norm(cross(edge, minus(x[3], x[0])))
-        )
-        weight = 3 * dot(edge, edge) / jnp.where(area > 0, area, 1)
-        return jnp.zeros_like(weight), jnp.where(area > 0, weight, 0)
+        square = dot(edge, edge)
+        one = norm(cross(edge, minus(x[2], x[0])))
+        other = norm(cross(edge, minus(x[3], x[0])))
+        least = jnp.minimum(one, other) / jnp.where(square > 0, square, 1)
+        area = 0.5 * (one + other)
+        weight = 3 * square / jnp.where(least > 0, area, 1)
+        fading = jnp.minimum(least / FLAT, 1) ** 3
+        return jnp.zeros_like(weight), jnp.where(least > 0, fading * weight, 0)
 
     def stencil(
         self, membrane: Membrane

@@ -263,7 +263,7 @@ def _add_up(
 ) -> None:
     """Write the force on a point by what may be near; as `jaxgrow.kernels.pair`."""
     x, y, z = point[0], point[1], point[2]
-    own = float(tumour)
+    own = 1.0 if tumour else 0.0
     for k in range(count):
         dx, dy, dz = x - others[0, k], y - others[1, k], z - others[2, k]
         square[k] = dx * dx + dy * dy + dz * dz
@@ -275,7 +275,8 @@ def _add_up(
     for place in range(found):
         k = close[place]
         u = math.sqrt(square[k])
-        ratio = slope(u, own, float(kind[k]), *p)[0] / u
+        other = 1.0 if kind[k] else 0.0
+        ratio = slope(u, own, other, *p)[0] / u
         fx -= ratio * (x - others[0, k])
         fy -= ratio * (y - others[1, k])
         fz -= ratio * (z - others[2, k])
