@@ -19,9 +19,9 @@ last reset. The angle at rest :math:`\theta^0` is 0: the surface wants to be fla
 an angle that is reset too, a polyp is as creased as without bending:
 ``experiments/creases.py``.)
 
-The angle's derivative is the inverse of the triangles' heights, so a sliver's hinge would
-be stiffer than all the rest by many orders. Weights of hinges whose triangles are lower
-than a tenth of the edge therefore fade with the third power of that height.
+The angle's derivative is the inverse of the triangles' heights, so a sliver's hinge
+would be stiffer than all the rest by many orders. Weights of hinges whose triangles are
+lower than a tenth of the edge therefore fade with the third power of that height.
 """
 
 from typing import Any
