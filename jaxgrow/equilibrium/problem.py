@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import fields
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, cast, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -93,8 +93,8 @@ class _Function(eqx.Module):
 
 def _as_module(function: EnergyFunction) -> EnergyFunction:
     """A function whose arrays, if it has any, are arguments of a program."""
-    own: Any = function
-    return own if isinstance(own, eqx.Module) else _Function(function)
+    own = function if isinstance(function, eqx.Module) else _Function(function)
+    return cast(EnergyFunction, own)
 
 
 def _acts(modulus: Scalar) -> bool:
