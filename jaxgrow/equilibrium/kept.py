@@ -64,7 +64,7 @@ def renewed(
     """
     kernel, law = loops("vicinity"), _law_of(parameters)
     root = pair_module() if particles.position.dtype == jnp.float64 else None
-    if kernel is None or root is None or kept is None:
+    if root is None or kept is None:
         return None
     if kept.force.shape != particles.position.shape or (get(kept.law) != law).any():
         return None

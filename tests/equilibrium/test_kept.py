@@ -42,7 +42,7 @@ def on_all(particles, parameters):
 
 
 def keep(particles, parameters):
-    return evaluated(particles, nb.allocate(particles.position).listed, parameters)
+    return evaluated(particles, nb.allocate(particles.position), parameters)
 
 
 def changed(particles, **rows):
@@ -130,5 +130,5 @@ def test_forces_of_another_law_or_of_another_crowd_are_not_used(parameters):
 def test_without_loops_all_forces_are_evaluated(parameters, monkeypatch):
     particles = crowd()
     before = keep(particles, parameters)
-    monkeypatch.setattr(module, "loops", lambda _: None)
+    monkeypatch.setattr(module, "pair_module", lambda: None)
     assert renewed(before, particles, parameters) is None
