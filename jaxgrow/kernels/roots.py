@@ -243,16 +243,15 @@ def _imported(path: Path) -> ModuleType:
 
     What numba kept of it is compiled anew if it cannot be read.
     """
-    name = path.stem
-    if name not in sys.modules:
+    if path.stem not in sys.modules:
         try:
-            sys.modules[name] = _executed(path)
+            return _executed(path)
         # a file that was cut short makes numba's reader raise many things
         except Exception:
             for kept in _kept_of(path):
                 kept.unlink(missing_ok=True)
-            sys.modules[name] = _executed(path)
-    return sys.modules[name]
+            return _executed(path)
+    return sys.modules[path.stem]
 
 
 def _executed(path: Path) -> ModuleType:
@@ -260,7 +259,14 @@ def _executed(path: Path) -> ModuleType:
     assert spec is not None
     assert spec.loader is not None
     module = module_from_spec(spec)
-    spec.loader.exec_module(module)
+    # numba looks for the module by its name, and cannot read again what it keeps of
+    # one that it does not find
+    sys.modules[path.stem] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[path.stem]
+        raise
     return module
 
 
