@@ -39,7 +39,7 @@ from jaxgrow.calibration.fit import describe_request
 from jaxgrow.calibration.growths import Growths, LesionGrower, Values
 from jaxgrow.calibration.loss import Loss
 from jaxgrow.calibration.task import make_task, Task
-from jaxgrow.compile_cache import compile_cache
+from jaxgrow.compile_cache import keep_programs
 
 
 RESULTS = Path(__file__).parent / "results"
@@ -367,10 +367,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", choices=CASES)
     options = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    directory = compile_cache()
-    if directory is not None:
-        jax.config.update("jax_compilation_cache_dir", str(directory))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    keep_programs()
     kind = "quick" if options.quick else "full"
     size = QUICK if options.quick else FULL
     path = RESULTS / "calibration.json"

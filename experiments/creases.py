@@ -19,7 +19,7 @@ import jax
 import numpy as np
 
 import jaxgrow as jg
-from jaxgrow.compile_cache import compile_cache
+from jaxgrow.compile_cache import keep_programs
 from jaxgrow.energy.bending import Bending, hinge_angle
 from jaxgrow.mesh.quality import area_vectors
 from jaxgrow.mesh.topology import build_topology
@@ -129,10 +129,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=RESULTS / "creases.json")
     given = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    directory = compile_cache()
-    if directory is not None:
-        jax.config.update("jax_compilation_cache_dir", str(directory))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    keep_programs()
     rows = [
         row_of(modulus, rest, given.seeds, given.size, given.pictures)
         for rest in given.rest

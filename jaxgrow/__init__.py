@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         FitError as FitError,
         Target as Target,
     )
+    from jaxgrow.compile_cache import keep_programs as keep_programs
     from jaxgrow.constructors import (
         make_membrane as make_membrane,
         make_particles as make_particles,
@@ -114,6 +115,7 @@ _HOME = {
     "fit": "calibration.fit",
     "grow": "grow",
     "grow_many": "ensemble",
+    "keep_programs": "compile_cache",
     "linear_response": "equilibrium.compliance",
     "load_organ": "organ.loading",
     "load_scene": "scene",

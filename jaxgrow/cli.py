@@ -16,7 +16,7 @@ from typing import Annotated, Any, TYPE_CHECKING
 
 import typer
 
-from jaxgrow.compile_cache import compile_cache
+from jaxgrow.compile_cache import keep_programs
 from jaxgrow.interruption import heard_interrupts
 
 
@@ -364,11 +364,7 @@ def _configure() -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    directory = compile_cache()
-    if directory is not None:
-        jax.config.update("jax_compilation_cache_dir", str(directory))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-        jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    keep_programs()
     _require_device()
 
 

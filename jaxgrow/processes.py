@@ -18,7 +18,7 @@ from typing import Any
 
 import jax
 
-from jaxgrow.compile_cache import compile_cache
+from jaxgrow.compile_cache import keep_programs
 
 
 KEPT_SECONDS = 300.0
@@ -158,14 +158,9 @@ def quiet() -> Iterator[None]:
 
 
 def _settings() -> dict[str, Any]:
-    """How JAX is configured here; with a cache of compiled programs in any case."""
-    settings = {name: getattr(jax.config, name) for name in _SETTINGS}
-    if settings["jax_compilation_cache_dir"] is None:
-        folder = compile_cache()
-        settings["jax_compilation_cache_dir"] = None if folder is None else str(folder)
-        settings["jax_persistent_cache_min_compile_time_secs"] = 0.0
-        settings["jax_persistent_cache_min_entry_size_bytes"] = -1
-    return settings
+    """How JAX is configured here, with a folder of compiled programs."""
+    keep_programs()
+    return {name: getattr(jax.config, name) for name in _SETTINGS}
 
 
 def _prepare(settings: dict[str, Any], started: Event) -> None:

@@ -2,6 +2,8 @@
 
 import os
 import stat
+import subprocess
+import sys
 import tempfile
 from importlib.metadata import version
 from pathlib import Path
@@ -106,3 +108,48 @@ def test_link_to_a_folder_is_not_used(temporary):
     (temporary / "elsewhere").mkdir(mode=0o700)
     (temporary / f"jaxgrow-{os.geteuid()}").symlink_to(temporary / "elsewhere")
     assert private_folder("loops") is None
+
+
+USE = """
+import jax
+jax.config.update("jax_enable_x64", True)
+jax.numpy.ones(3)  # compiles, and so asks for the folder, before jaxgrow does
+{choice}
+import jaxgrow as jg
+jg.keep_programs()
+jg.relax(jg.make_particles([[0.0, 0, 0], [0.9, 0, 0]]))
+print(jax.config.jax_compilation_cache_dir)
+"""
+
+
+def folder_after_a_relaxation(choice="", **variables):
+    environment = {**os.environ, **{name: str(v) for name, v in variables.items()}}
+    done = subprocess.run(
+        [sys.executable, "-c", USE.format(choice=choice)],
+        env=environment,
+        capture_output=True,
+        text=True,
+    )
+    assert done.stderr == ""
+    return done.stdout.strip()
+
+
+def test_programs_of_a_script_are_kept_for_the_next(tmp_path):
+    folder = tmp_path / "programs"
+    assert folder_after_a_relaxation(JAXGROW_XLA_CACHE=folder) == str(folder)
+    kept = {path.name for path in folder.iterdir()}
+    assert any("descend" in name for name in kept)
+    folder_after_a_relaxation(JAXGROW_XLA_CACHE=folder)
+    assert kept == {path.name for path in folder.iterdir()}
+
+
+def test_folder_that_a_script_chose_is_left(tmp_path):
+    choice = f'jax.config.update("jax_compilation_cache_dir", "{tmp_path}/own")'
+    folder = tmp_path / "programs"
+    found = folder_after_a_relaxation(choice, JAXGROW_XLA_CACHE=folder)
+    assert found == f"{tmp_path}/own"
+    assert not folder.exists()
+
+
+def test_script_may_keep_nothing():
+    assert folder_after_a_relaxation(JAXGROW_XLA_CACHE="off") == "None"

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 import jax
 import numba
 
-from jaxgrow.compile_cache import compile_cache
+from jaxgrow.compile_cache import keep_programs
 from jaxgrow.report import versions
 
 
@@ -58,11 +58,7 @@ def configure(options: Options) -> None:
         os.environ["NPROC"] = str(options.threads)
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_platforms", options.device)
-    directory = compile_cache()
-    if directory is not None:
-        jax.config.update("jax_compilation_cache_dir", str(directory))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-        jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    keep_programs()
 
 
 class Measured(NamedTuple):

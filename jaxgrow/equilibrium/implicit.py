@@ -20,58 +20,89 @@ in its basin. Where nothing is pinned, the rigid motion of the whole is none eit
 derivative. Second derivatives, and what withholds the values, are refused
 (`jaxgrow.equilibrium.transformations`).
 
-*Forces* on what is held or pinned have a derivative too, which is computed where it is
-asked for: :math:`\delta F = \partial_\theta F\, \delta\theta + \partial_x F\, \delta
-x^*`.
+*Forces* on what is held or pinned have a derivative too, from the same solve:
+:math:`\delta F = \partial_p F\, \delta p - H\, \delta x`, with :math:`\delta x` on
+all nodes. In reverse mode weights w of the forces and y of the nodes become
+
+.. math:: \lambda = H_{ff}^{-1} (y - H w)_f, \qquad
+          \bar p = (\partial_p F)^T (\lambda + w), \qquad
+          \bar x_h = (y - H (\lambda + w))_h
+
+on free nodes f, held ones h and in everything else p. :math:`v^T F` is minus the
+derivative of the energy along v; its gradient in p differentiates no geometry twice.
 """
 
-from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Bool, Float, PyTree
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from jaxgrow.equilibrium.linear_map import linear_map
 from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.loops import with_loops
 from jaxgrow.equilibrium.problem import Problem
-from jaxgrow.equilibrium.response import linearise, probe, Response, solve
+from jaxgrow.equilibrium.response import linearise, probe, solve
 from jaxgrow.equilibrium.transformations import primal
 from jaxgrow.results import Result
 from jaxgrow.state import Nodes
 
 
+class Equilibrium(NamedTuple):
+    """An equilibrium, or a change of it.
+
+    Attributes:
+        nodes: where they are, in r0.
+        forces: on all of them, in F(0).
+    """
+
+    nodes: Nodes
+    forces: Nodes
+
+
+class _Known(NamedTuple):
+    """What the derivative of an equilibrium is computed from.
+
+    Attributes:
+        problem: at the equilibrium, with the loops of Hessian products.
+        lists: valid there.
+        proved: whether it is a strict minimum.
+    """
+
+    problem: Problem
+    lists: Lists
+    proved: Bool[Array, ""]
+
+
 def at_equilibrium(
-    problem: Problem, nodes: Nodes, lists: Lists, *, valid: bool
-) -> Nodes:
+    problem: Problem, found: Equilibrium, lists: Lists, *, valid: bool
+) -> Equilibrium:
     """The equilibrium, with its derivative in what the problem depends on.
 
     Args:
         problem: being differentiated.
-        nodes: its equilibrium, without derivative; best relaxed to rounding, since
+        found: its equilibrium, without derivative; best relaxed to rounding, since
             the derivative is off by about its residual.
         lists: valid there.
         valid: whether it is an equilibrium; if not, the derivative is NaN.
     """
-    known = with_loops(primal(problem).at(nodes), lists, products=True)
-    problem = problem.with_loops(known.loops)
-    proved = _is_minimum(known, lists) if valid else jnp.zeros((), bool)
-    floats, rest = eqx.partition(problem, eqx.is_inexact_array)
-    return _equilibrium(floats, (rest, nodes, lists, proved))
+    there = with_loops(primal(problem).at(found.nodes), lists, products=True)
+    proved = _is_minimum(there, lists) if valid else jnp.zeros((), bool)
+    known = _Known(there, lists, proved)
 
+    @jax.custom_jvp
+    def equilibrium(_: Float[Array, " k"]) -> Equilibrium:
+        return found
 
-def forces_at(problem: Problem, forces: Nodes, lists: Lists) -> Nodes:
-    """The forces on all nodes, with their derivative.
+    @equilibrium.defjvp
+    def _(primals: PyTree, tangents: PyTree) -> tuple[Equilibrium, Equilibrium]:
+        rows = sum(leaf.size for leaf in jax.tree.leaves(found))
+        moved = linear_map(_forward, _backward, known, tangents[0], rows)
+        return equilibrium(*primals), _shaped(moved, found)
 
-    Args:
-        problem: at its equilibrium, being differentiated.
-        forces: on its nodes, without derivative.
-        lists: valid there.
-    """
-    floats, rest = eqx.partition(problem, eqx.is_inexact_array)
-    return _forces(floats, (rest, lists, forces))
+    return equilibrium(_flat(_floats(problem)))
 
 
 @eqx.filter_jit
@@ -79,62 +110,59 @@ def _is_minimum(problem: Problem, lists: Lists) -> Bool[Array, ""]:
     return probe(linearise(problem, lists)).code == Result.CONVERGED.code
 
 
-def _response(problem: Problem, lists: Lists, force: Nodes) -> Response:
-    """The one solve that a derivative takes; nothing is asked of it but its answer."""
-    return solve(linearise(problem, lists), force)
+@jax.jit
+def _forward(known: _Known, flat: Float[Array, " k"]) -> Float[Array, " l"]:
+    """The change of the equilibrium with that of the problem's floats."""
+    problem, lists, _ = known
+    nodes, free = problem.nodes(), problem.free()
+    floats, rest = eqx.partition(problem.with_loops(None), eqx.is_inexact_array)
+    changed = _shaped(flat, floats)
 
+    def forces(floats: Problem) -> Nodes:
+        return eqx.combine(floats, rest).forces(nodes, lists)
 
-# the equilibrium
-
-
-@jax.custom_jvp
-def _equilibrium(_: Problem, known: PyTree) -> Nodes:
-    return known[1]
-
-
-@_equilibrium.defjvp
-def _equilibrium_jvp(primals: PyTree, tangents: PyTree) -> tuple[Nodes, Nodes]:
-    floats, known = primals
-    nodes = known[1]
-    moved = _map(_forward, _backward, (floats, known), tangents[0], nodes)
-    return nodes, moved
+    _, felt = jax.jvp(forces, (floats,), (changed,))
+    product = problem.product(nodes, lists)
+    held = _chosen(free, jax.tree.map(jnp.zeros_like, nodes), changed.nodes())
+    response = solve(linearise(problem, lists), _minus(felt, product(held)))
+    moved = _chosen(free, response.nodes, held)
+    change = Equilibrium(moved, _minus(felt, product(moved)))
+    return _or_nan(_flat(change), known, response.code)
 
 
 @jax.jit
-def _forward(constants: PyTree, flat: Float[Array, " k"]) -> Float[Array, " l"]:
-    floats, (rest, nodes, lists, proved) = constants
-    problem = eqx.combine(floats, rest).at(nodes)
-    force, own = _pushed(_forces_and_nodes(rest, nodes, lists), floats, flat)
-    found = _response(problem, lists, force)
-    moved = _chosen(problem.free(), found.nodes, own)
-    return _or_nan(_flat(moved), proved, found)
+def _backward(known: _Known, flat: Float[Array, " l"]) -> Float[Array, " k"]:
+    """The transpose of `_forward`."""
+    problem, lists, _ = known
+    nodes, free = problem.nodes(), problem.free()
+    floats, rest = eqx.partition(problem.with_loops(None), eqx.is_inexact_array)
+    weight = _shaped(flat, Equilibrium(nodes, nodes))
+    product = problem.product(nodes, lists)
+    response = solve(
+        linearise(problem, lists), _minus(weight.nodes, product(weight.forces))
+    )
+    along = jax.tree.map(jnp.add, response.nodes, weight.forces)
+
+    def felt(floats: Problem) -> Float[Array, ""]:
+        return eqx.combine(floats, rest).force_along(nodes, lists, along)
+
+    pulled = jax.grad(felt)(floats)
+    held = _minus(weight.nodes, product(along))
+    nothing = jax.tree.map(jnp.zeros_like, held)
+    own = jax.tree.leaves(_chosen(free, nothing, held))
+    pulled = eqx.tree_at(_positions, pulled, own)
+    return _or_nan(_flat(pulled), known, response.code)
 
 
-@jax.jit
-def _backward(constants: PyTree, flat: Float[Array, " l"]) -> Float[Array, " k"]:
-    floats, (rest, nodes, lists, proved) = constants
-    problem = eqx.combine(floats, rest).at(nodes)
-    free, weight = problem.free(), _shaped(flat, nodes)
-    found = _response(problem, lists, jax.tree.map(jnp.multiply, free, weight))
-    nothing = jax.tree.map(jnp.zeros_like, weight)
-    on = (found.nodes, _chosen(free, nothing, weight))
-    pulled = _pulled(_forces_and_nodes(rest, nodes, lists), floats, on)
-    return _or_nan(pulled, proved, found)
+def _floats(problem: Problem) -> Problem:
+    return eqx.filter(problem, eqx.is_inexact_array)
 
 
-def _forces_and_nodes(
-    rest: Problem, nodes: Nodes, lists: Lists
-) -> Callable[[Problem], tuple[Nodes, Nodes]]:
-    """Forces on what may move at the equilibrium, and the problem's own nodes."""
-
-    def compute(floats: Problem) -> tuple[Nodes, Nodes]:
-        # derivatives in everything are XLA's: loops have those in positions alone
-        problem = eqx.combine(floats, rest).with_loops(None)
-        free, own = problem.free(), problem.nodes()
-        forces = problem.forces(_chosen(free, nodes, own), lists)
-        return jax.tree.map(jnp.multiply, free, forces), own
-
-    return compute
+def _positions(problem: Problem) -> list[Any]:
+    """The leaves of its nodes."""
+    particles, membrane = problem.particles, problem.membrane
+    position = [] if particles is None else [particles.position]
+    return position if membrane is None else [*position, membrane.vertices]
 
 
 def _chosen(free: Nodes, where_free: Nodes, elsewhere: Nodes) -> Nodes:
@@ -144,81 +172,15 @@ def _chosen(free: Nodes, where_free: Nodes, elsewhere: Nodes) -> Nodes:
     )
 
 
-def _or_nan(flat: Float[Array, " k"], proved: Array, found: Response) -> Array:
-    good = proved & (found.code == Result.CONVERGED.code)
-    return jnp.where(good, flat, jnp.nan)
+def _minus(first: Nodes, second: Nodes) -> Nodes:
+    return jax.tree.map(jnp.subtract, first, second)
 
 
-# the forces there
-
-
-@jax.custom_jvp
-def _forces(_: Problem, known: PyTree) -> Nodes:
-    return known[2]
-
-
-@_forces.defjvp
-def _forces_jvp(primals: PyTree, tangents: PyTree) -> tuple[Nodes, Nodes]:
-    floats, (rest, lists, forces) = primals
-    constants = floats, rest, lists
-    changed = _map(_push_forces, _pull_forces, constants, tangents[0], forces)
-    return forces, changed
-
-
-@jax.jit
-def _push_forces(constants: PyTree, flat: Float[Array, " k"]) -> Float[Array, " l"]:
-    floats, rest, lists = constants
-    changed = _flat(_pushed(_all_forces(rest, lists), floats, flat))
-    return jnp.where(jnp.all(jnp.isfinite(flat)), changed, jnp.nan)
-
-
-@jax.jit
-def _pull_forces(constants: PyTree, flat: Float[Array, " l"]) -> Float[Array, " k"]:
-    floats, rest, lists = constants
-    weight = _shaped(flat, eqx.combine(floats, rest).nodes())
-    return _pulled(_all_forces(rest, lists), floats, weight)
-
-
-def _all_forces(rest: Problem, lists: Lists) -> Callable[[Problem], Nodes]:
-    """Forces on all nodes, where the problem is."""
-
-    def compute(floats: Problem) -> Nodes:
-        problem = eqx.combine(floats, rest).with_loops(None)
-        return problem.forces(problem.nodes(), lists)
-
-    return compute
-
-
-# the parts of both
-
-
-def _map(
-    forward: Callable[..., Array],
-    backward: Callable[..., Array],
-    constants: PyTree,
-    tangent: Problem,
-    like: Nodes,
-) -> Nodes:
-    """A linear map from tangents of a problem's floats to tangents of its nodes."""
-    rows = sum(leaf.size for leaf in jax.tree.leaves(like))
-    flat = linear_map(forward, backward, constants, _flat(tangent), rows)
-    return _shaped(flat, like)
-
-
-def _pushed(
-    function: Callable[[Problem], PyTree], floats: Problem, flat: Float[Array, " k"]
-) -> PyTree:
-    """What a function of a problem's floats changes by when they do."""
-    return jax.jvp(function, (floats,), (_shaped(flat, floats),))[1]
-
-
-def _pulled(
-    function: Callable[[Problem], PyTree], floats: Problem, weight: PyTree
+def _or_nan(
+    flat: Float[Array, " k"], known: _Known, code: Int[Array, ""]
 ) -> Float[Array, " k"]:
-    """The derivative of a function's weighted results in all of a problem's floats."""
-    _, pull = jax.vjp(function, floats)
-    (total,) = pull(weight)
-    return _flat(total)
+    good = known.proved & (code == Result.CONVERGED.code)
+    return jnp.where(good, flat, jnp.nan)
 
 
 @jax.jit

@@ -228,6 +228,24 @@ class Problem(eqx.Module):
         """Minus the gradient of the energy, on held and pinned nodes too."""
         return self._forces_and_clearances(nodes, lists)[0]
 
+    def force_along(self, nodes: Nodes, lists: Lists, way: Nodes) -> Float[Array, ""]:
+        """Return the forces' scalar product with a displacement of all nodes.
+
+        It is minus the derivative of the energy along it, and so can be differentiated
+        in what the forces depend on without a second derivative of distances.
+        """
+        but = self.but(functions=(), loops=None)
+        _, slope = jax.jvp(lambda at: but.energy(at, lists), (nodes,), (way,))
+        for function in self.functions:  # which may know derivatives in reverse only
+
+            def own(at: Nodes, energy: EnergyFunction = function) -> Array:
+                moved = self.at(at)
+                return energy(moved.particles, moved.membrane)
+
+            along = jax.tree.map(jnp.vdot, jax.grad(own)(nodes), way)
+            slope += sum(jax.tree.leaves(along))
+        return -slope
+
     def product(self, nodes: Nodes, lists: Lists) -> Callable[[Nodes], Nodes]:
         """The function that multiplies a displacement by the energy's Hessian.
 

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxgrow.array_checks import accept_bodies, accept_vectors
-from jaxgrow.equilibrium.implicit import at_equilibrium, forces_at
+from jaxgrow.equilibrium.implicit import at_equilibrium, Equilibrium
 from jaxgrow.equilibrium.listing import (
     allocate_lists,
     CollisionLister,
@@ -263,8 +263,8 @@ def relax(
         if stats.method == "local":  # which keeps no list of all neighbours valid
             lists = prepared(problem, lists, None)
         valid = result is Result.CONVERGED
-        nodes = at_equilibrium(given, problem.nodes(), lists, valid=valid)
+        found = Equilibrium(problem.nodes(), forces)
+        nodes, forces = at_equilibrium(given, found, lists, valid=valid)
         problem = given.at(nodes)
-        forces = forces_at(problem, forces, lists)
     state = problem.particles, problem.membrane
     return Relaxation(state, result, stats, lists, forces)

@@ -9,9 +9,10 @@ their derivatives there are the first only.
 from collections.abc import Sequence
 from typing import Any
 
-import equinox as eqx
 import jax
 from jax.core import Tracer
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, PyTree
 
 
@@ -35,10 +36,39 @@ def is_differentiated(tree: PyTree) -> bool:
 
 
 def primal(tree: PyTree) -> PyTree:
-    """The values without their derivatives."""
-    return jax.tree.map(
-        lambda a: jax.lax.stop_gradient(a) if eqx.is_array(a) else a, tree
-    )
+    """The values without their derivatives.
+
+    As `jax.lax.stop_gradient` on each leaf, but all leaves at once: under a derivative
+    every operation on the host costs a millisecond.
+    """
+    leaves, structure = jax.tree.flatten(tree)
+    traced = [k for k, leaf in enumerate(leaves) if isinstance(leaf, Tracer)]
+    if traced:
+        values = _primal.bind(*(leaves[k] for k in traced))
+        for k, value in zip(traced, values, strict=True):
+            leaves[k] = value
+    return jax.tree.unflatten(structure, leaves)
+
+
+_primal = Primitive("primal")
+_primal.multiple_results = True
+_primal.def_impl(lambda *leaves: list(leaves))
+_primal.def_abstract_eval(lambda *avals: list(avals))
+
+
+def _primal_jvp(
+    primals: Sequence[Array], _: Sequence[Any]
+) -> tuple[list[Array], list[ad.Zero]]:
+    values = _primal.bind(*primals)
+    return values, [ad.Zero(jax.typeof(a).to_tangent_aval()) for a in values]
+
+
+ad.primitive_jvps[_primal] = _primal_jvp
+batching.primitive_batchers[_primal] = lambda values, axes: (
+    _primal.bind(*values),
+    list(axes),
+)
+mlir.register_lowering(_primal, lambda _, *leaves: list(leaves))
 
 
 def check_transformations(tree: PyTree) -> None:

@@ -418,12 +418,12 @@ def test_system_that_was_not_solved_gives_no_derivative(cage, monkeypatch):
 
 @pytest.mark.parametrize("name", ["_forward", "_backward"])
 def test_no_callback_is_in_the_program(polyp, name):
-    floats, others = eqx.partition(polyp, eqx.is_inexact_array)
-    lists = allocate_lists(polyp)
-    given = floats, (others, polyp.nodes(), lists, jnp.ones((), bool))
-    vector = polyp.nodes() if name == "_backward" else floats
+    known = implicit._Known(polyp, allocate_lists(polyp), jnp.ones((), bool))
+    vector = implicit._floats(polyp)
+    if name == "_backward":
+        vector = implicit.Equilibrium(polyp.nodes(), polyp.nodes())
     program = str(
-        jax.make_jaxpr(getattr(implicit, name))(given, implicit._flat(vector))
+        jax.make_jaxpr(getattr(implicit, name))(known, implicit._flat(vector))
     )
     assert "while" in program
     assert "callback" not in program

@@ -153,7 +153,9 @@ def test_files_are_followed_without_doing_what_they_say(tmp_path):
 
 
 def test_loops_cut_short_are_compiled_anew(tmp_path):
-    use = "from jaxgrow.kernels import loops; print(loops('distances')._share(1.5, 2.0))"
+    use = (
+        "from jaxgrow.kernels import loops; print(loops('distances')._share(1.5, 2.0))"
+    )
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
 
     def run():
