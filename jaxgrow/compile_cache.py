@@ -75,7 +75,8 @@ def keep_programs() -> None:
     import jax
     from jax.experimental.compilation_cache import compilation_cache
 
-    folder, chosen = compile_cache(), jax.config.jax_compilation_cache_dir
+    folder = compile_cache()
+    chosen = jax.config.values["jax_compilation_cache_dir"]
     if folder is None or chosen not in (None, os.environ.get(_OF_JAX)):
         return
     jax.config.update("jax_compilation_cache_dir", str(folder))
