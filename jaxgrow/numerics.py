@@ -64,7 +64,7 @@ def check_precision(dtype: DTypeLike) -> None:
     Raises:
         ValueError: it does, and would round some of them and not others.
     """
-    if jnp.finfo(dtype).bits > 32 and jnp.zeros(()).dtype != jnp.float64:
+    if jnp.finfo(dtype).bits > 32 and jnp.result_type(float) != jnp.float64:
         raise ValueError(
             "the positions have 64 bits and JAX computes in 32 here; stay within the "
             "`with jax.enable_x64(True):` that they come from, or put "

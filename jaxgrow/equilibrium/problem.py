@@ -1,7 +1,6 @@
 """What is minimised: the sum of the energy terms that a scene has."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 from typing import Any, cast, NamedTuple, TypeAlias
 
 import equinox as eqx
@@ -33,7 +32,7 @@ from jaxgrow.energy.terms import MEMBRANE_TERMS
 from jaxgrow.equilibrium.lists import Lists, Outgrown
 from jaxgrow.equilibrium.loops import evaluate, Loops, wired
 from jaxgrow.parameters import as_arrays, Parameters
-from jaxgrow.state import Membrane, Nodes, Particles
+from jaxgrow.state import Membrane, Nodes, Particles, replaced
 from jaxgrow.types import Scalar
 
 
@@ -99,7 +98,7 @@ def _as_module(function: EnergyFunction) -> EnergyFunction:
 
 def _acts(modulus: Scalar) -> bool:
     """Whether a term is there: its modulus is not 0, or its derivative is taken."""
-    return isinstance(modulus, Tracer) or bool(modulus != 0)
+    return isinstance(modulus, Tracer) or float(modulus) != 0
 
 
 class Problem(eqx.Module):
@@ -147,7 +146,8 @@ class Problem(eqx.Module):
                 functions of particles and membrane.
         """
         parameters = Parameters() if parameters is None else parameters
-        terms = [t for t in MEMBRANE_TERMS if _acts(getattr(parameters, t.modulus))]
+        known = MEMBRANE_TERMS if membrane is not None else ()
+        terms = [t for t in known if _acts(getattr(parameters, t.modulus))]
         terms += [term for term in extra if isinstance(term, Term)]
         functions = [f for f in extra if not isinstance(f, Term)]
         if membrane is not None:
@@ -171,8 +171,7 @@ class Problem(eqx.Module):
 
     def but(self, **changes: Any) -> "Problem":
         """Return the same problem with other values of some fields."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return Problem(**{**values, **changes})
+        return replaced(self, **changes)
 
     @property
     def dtype(self) -> jnp.dtype:
