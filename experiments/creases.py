@@ -6,8 +6,9 @@ grows the default polyp with several bending moduli, with hinges at rest where t
 flat and with hinges whose angle at rest is reset with the springs, and writes
 ``results/creases.json`` and a picture of each: the share of the lesion's edges that are
 bent by more than 45 and 90 degrees, their median, and shape metrics, as means over
-seeds with their standard errors. An edge is the lesion's if both of its ends are; its
-angle is that between the normals of its triangles.
+seeds with their standard errors. Rows that are not asked for are kept as they are. An
+edge is the lesion's if both of its ends are; its angle is that between the normals of
+its triangles.
 """
 
 import argparse
@@ -130,13 +131,14 @@ def main() -> None:
     given = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     keep_programs()
-    rows = [
-        row_of(modulus, rest, given.seeds, given.size, given.pictures)
-        for rest in given.rest
-        for modulus in given.moduli
-        if modulus > 0 or rest == "flat"
-    ]
-    given.out.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    wanted = [(r, m) for r in given.rest for m in given.moduli if m > 0 or r == "flat"]
+    known = json.loads(given.out.read_text("utf-8")) if given.out.exists() else []
+    rows = {(row["rest"], row["bending_stiffness"]): row for row in known}
+    for rest, modulus in wanted:
+        row = row_of(modulus, rest, given.seeds, given.size, given.pictures)
+        rows[rest, modulus] = row
+        text = json.dumps([rows[key] for key in sorted(rows)], indent=1)
+        given.out.write_text(text + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
