@@ -1,6 +1,7 @@
 """Growth: iterate until the lesion has its size, or cannot (paper §4)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ from jaxtyping import Float
 from jaxgrow.clock import Clock
 from jaxgrow.compilations import count_compilations, forget_now_and_then
 from jaxgrow.descents import count_descents
+from jaxgrow.entries import check_names
 from jaxgrow.equilibrium.problem import ExtraTerms
 from jaxgrow.equilibrium.stages import exact_tolerance
 from jaxgrow.equilibrium.transformations import (
@@ -47,7 +49,7 @@ def grow(
     scene: Scene,
     *,
     seed: int = 0,
-    parameters: Parameters | None = None,
+    parameters: Parameters | Mapping[str, Scalar] | None = None,
     tolerance: float | None = None,
     max_divisions: int = 3000,
     max_seconds: float | None = None,
@@ -91,7 +93,8 @@ def grow(
     Args:
         scene: what to grow, and where.
         seed: of all random choices; the same seed gives the same growth.
-        parameters: of the mechanics, instead of the scene's.
+        parameters: of the mechanics: by name, those that differ from the scene's (so
+            that a myoma keeps the others of its kind), or all of them.
         tolerance: largest force left in every equilibrium, in F(0); 1e-3 if None, or
             that of the growth whose events are replayed.
         max_divisions: bound on the divisions, for a size that is never reached.
@@ -125,7 +128,7 @@ def grow(
         )
     if max_seconds is not None and not max_seconds > 0:
         raise ValueError(f"max_seconds is {max_seconds}; it must be positive.")
-    parameters = as_arrays(parameters or scene.parameters, jnp.float64)
+    parameters = as_arrays(_parameters(scene, parameters), jnp.float64)
     check_transformations(parameters)
     clock = Clock()
     with count_compilations() as compilations, count_descents() as descents:
@@ -160,6 +163,16 @@ def grow(
         ground=step.ground,
         organ_index=step.organ_index,
     )
+
+
+def _parameters(
+    scene: Scene, given: Parameters | Mapping[str, Scalar] | None
+) -> Parameters:
+    """The scene's parameters, or those given instead of some or all of them."""
+    if isinstance(given, Mapping):
+        check_names(given, [field.name for field in fields(Parameters)])
+        return replace(scene.parameters, **given)
+    return scene.parameters if given is None else given
 
 
 class Limits(NamedTuple):

@@ -16,7 +16,7 @@ from jaxgrow.planting import Ground
 from jaxgrow.results import Result
 from jaxgrow.scene import Scene
 from jaxgrow.state import State
-from jaxgrow.transfer import get, get_particles, get_surface
+from jaxgrow.transfer import get, get_number, get_particles, get_surface
 from jaxgrow.types import Scalar
 
 
@@ -173,6 +173,15 @@ class Growth:
         vertices, faces, label = self.surface()
         return trimesh.Trimesh(
             vertices, faces, process=False, vertex_attributes={"label": label}
+        )
+
+    def __repr__(self) -> str:
+        """What grew, how it ended, and how large it is, in one line."""
+        size = get_number(self.size_mm)
+        divisions = sum(len(event.divisions) for event in self.events)
+        return (
+            f"Growth({self.scene.lesion.kind} of {size:.4g} mm after {divisions} "
+            f"divisions, seed {self.seed}: {self.result.name})"
         )
 
     def _check_undifferentiated(self, what: str) -> None:

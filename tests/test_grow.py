@@ -1,6 +1,7 @@
 """Growth: free clusters keep their density, and a polyp changes only its patch."""
 
 import inspect
+import json
 import warnings
 
 import equinox as eqx
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
+import jaxgrow as jg
 from jaxgrow import adaptation
 from jaxgrow.adaptation import adapt_tissue_and_surface, Laws
 from jaxgrow.audit import audit
@@ -448,3 +450,31 @@ def test_tolerance_that_is_not_positive_is_refused():
 def test_growth_in_32_bits_is_refused():
     with jax.enable_x64(False), pytest.raises(ValueError, match="growth needs 64"):
         inspect.unwrap(grow)(CLUSTER)
+
+
+def test_parameters_by_name_leave_the_others_of_the_kind():
+    scene = jg.Scene(organ=None, lesion=jg.Myoma(divisions=4))
+    some = jg.grow(scene, parameters={"smoothing": 0.12})
+    wanted = {**jg.Myoma.mechanics, "smoothing": 0.12}
+    whole = jg.grow(scene, parameters=jg.Parameters(**wanted))
+    assert wanted["tumour_stiffness"] != jg.Parameters().tumour_stiffness
+    np.testing.assert_array_equal(
+        some.state.particles.position, whole.state.particles.position
+    )
+
+
+def test_unknown_parameter_is_refused_by_name():
+    scene = jg.Scene(organ=None, lesion=jg.Myoma(divisions=4))
+    with pytest.raises(ValueError, match="did you mean spring_stiffness"):
+        jg.grow(scene, parameters={"spring_stifness": 0.1})
+
+
+def test_growth_and_metrics_show_themselves_in_a_line():
+    growth = jg.grow(jg.Scene(organ=None, lesion=jg.Myoma(divisions=4)))
+    assert repr(growth).startswith("Growth(myoma of 2")
+    assert repr(growth).endswith("mm after 4 divisions, seed 0: REACHED)")
+    metrics = jg.shape_metrics(growth.state)
+    row = metrics.as_dict()
+    assert json.loads(json.dumps(row["tumour_diameter_mm"])) > 1
+    assert all(type(value) is float for value in row.values())
+    assert f"tumour_diameter_mm={row['tumour_diameter_mm']:.4g}" in repr(metrics)

@@ -11,12 +11,17 @@ they share their rim, so the difference of their cone volumes
 """
 
 import math
+from dataclasses import fields
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxgrow.equilibrium.transformations import (
+    check_undifferentiated,
+    is_differentiated,
+)
 from jaxgrow.metrics.curvature import mean_and_spread, mean_curvature
 from jaxgrow.metrics.elevation import height_above, RAISED, raisedness, smoothstep
 from jaxgrow.metrics.extent import height_of, width_of
@@ -90,6 +95,22 @@ class ShapeMetrics(eqx.Module):
     neck_curvature_per_mm: Float[Array, ""]
     neck_curvature_spread_per_mm: Float[Array, ""]
     tumour_diameter_mm: Float[Array, ""]
+
+    def as_dict(self) -> dict[str, float]:
+        """Return the metrics as plain floats, by name: a row of a table.
+
+        Raises:
+            ValueError: a derivative is being taken.
+        """
+        check_undifferentiated(self, "a plain number", "use the metrics themselves")
+        return {field.name: float(getattr(self, field.name)) for field in fields(self)}
+
+    def __repr__(self) -> str:
+        """The metrics with their values, where they have some."""
+        if is_differentiated(self):
+            return super().__repr__()
+        rows = (f"{name}={value:.4g}" for name, value in self.as_dict().items())
+        return f"ShapeMetrics({', '.join(rows)})"
 
 
 def shape_metrics(state: State, *, smoothing: float = 0.0) -> ShapeMetrics:
