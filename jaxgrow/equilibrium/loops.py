@@ -55,11 +55,13 @@ class Loops(eqx.Module):
         names: of the terms, in their order.
         force: addresses of the loops of forces.
         product: of those of Hessian products; None until they are asked for.
+        blocks: of those of the Hessian's diagonal blocks; likewise.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
     force: Int[Array, " t"]
     product: Int[Array, " t"] | None
+    blocks: Int[Array, " t"] | None = None
 
 
 class Wired(NamedTuple):
@@ -183,14 +185,15 @@ def _loops(keys: tuple[_Key, ...], products: bool) -> Loops:
     if products:
         found = [key for key in found if root_module(key, "product") is not None]
 
-    def addresses(kind: Kind) -> Array:
+    def addresses(kind: Kind, loop: str = "root") -> Array:
         roots = (root_module(key, kind) for key in found)
-        return put(np.array([r.root.address for r in roots if r], np.int64))
+        return put(np.array([getattr(r, loop).address for r in roots if r], np.int64))
 
     return Loops(
         tuple(key.name for key in found),
         addresses("force"),
         addresses("product") if products else None,
+        addresses("product", "blocks") if products else None,
     )
 
 
@@ -256,20 +259,48 @@ def evaluate(
     """
     loops, at = problem.loops, problem.at(nodes)
     assert loops is not None
-    addresses = loops.force if along is None else loops.product
+    if along is None:
+        out, clear = _run(at, lists, loops.force)
+    else:
+        out, clear = _run(at, lists, loops.product, along)
+    return _split(problem, out), _split(problem, clear)
+
+
+def blocks(problem: "Problem", lists: "Lists") -> Float[Array, "q 9"]:
+    """Return about the 3 x 3 diagonal blocks of the Hessian, of all nodes in rows.
+
+    They are exact where a term is a sum over pairs or elements, in F(0)/r0.
+
+    Args:
+        problem: with loops of products.
+        lists: valid there.
+    """
+    assert problem.loops is not None
+    return _run(problem, lists, problem.loops.blocks, columns=9)[0]
+
+
+def _run(
+    problem: "Problem",
+    lists: "Lists",
+    addresses: Int[Array, " t"] | None,
+    along: Nodes | None = None,
+    columns: int = 3,
+) -> Sequence[Array]:
+    """What loops at these addresses add up for all nodes, and the distances."""
     assert addresses is not None
-    alive, place = placed(at, lists)
+    alive, place = placed(problem, lists)
     moved = jnp.zeros((0, 3), problem.dtype)
     if along is not None:
         rows = jnp.concatenate(jax.tree.leaves(along))
         moved = jnp.pad(rows, ((0, place.shape[0] - rows.shape[0]), (0, 0)))
+    count = place.shape[0]
     results = [
-        jax.ShapeDtypeStruct(s, place.dtype) for s in (place.shape, place.shape[:1])
+        jax.ShapeDtypeStruct(shape, place.dtype)
+        for shape in ((count, columns), (count,))
     ]
-    wiring, buffers = _buffers(at, lists, first=5)
+    wiring, buffers = _buffers(problem, lists, first=5)
     call = jax.ffi.ffi_call(handler("terms"), results)
-    out, clear = call(addresses, wiring, alive, place, moved, *buffers)
-    return _split(problem, out), _split(problem, clear)
+    return call(addresses, wiring, alive, place, moved, *buffers)
 
 
 class Solved(NamedTuple):
@@ -313,12 +344,12 @@ def solve(
         jax.ShapeDtypeStruct((2,), place.dtype),
         jax.ShapeDtypeStruct((3,), jnp.int64),
     ]
-    wiring, buffers = _buffers(problem, lists, first=9)
+    wiring, buffers = _buffers(problem, lists, first=10)
     x, numbers, counts = jax.ffi.ffi_call(handler("solve"), results)(
         *(problem.loops.product, wiring, alive, place),
         *(rows(problem.free())[:, 0] > 0, jnp.stack(loose), rows(force)),
         jnp.stack([jnp.asarray(limit, place.dtype) for limit in limits]),
-        *(rows(uneven), *buffers),
+        *(rows(uneven), blocks(problem, lists), *buffers),
     )
     return Solved(_split(problem, x), numbers, counts)
 

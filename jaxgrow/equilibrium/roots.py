@@ -1,7 +1,8 @@
 """The roots of all terms: which energies their loops are printed from.
 
-Of each term there is one for its forces and one for its Hessian's product with a
-displacement. See `jaxgrow.kernels.roots` for what a root is.
+Of each term there is one for its forces and one for its Hessian: for the product with a
+displacement, and for the diagonal blocks. See `jaxgrow.kernels.roots` for what a root
+is.
 """
 
 from collections.abc import Callable, Sequence
@@ -134,12 +135,13 @@ def pair_root(kind: Kind) -> Root:
         f"nodes[:count], tumour, listed, numbers[0], {_tuple(1, len(PAIRS.parameters))}"
     )
     call = f"pair.add_forces(law, {given}, out[:count])"
-    loops = ""
+    loops, blocks = "", ()
     if kind == "product":
         call = f"pair.add_products(law, {given}, along[:count], out[:count])"
+        blocks = (f"pair.add_blocks(law, {given}, out[:count])",)
     else:
         loops = _RENEW.format(p=_tuple(1, len(PAIRS.parameters)))
-    return Root(f"pair_{kind}", (law,), loops, BUFFERS["pair"], (call,))
+    return Root(f"pair_{kind}", (law,), loops, BUFFERS["pair"], (call,), blocks)
 
 
 _RENEW = """
@@ -160,11 +162,12 @@ def contact_root(kind: Kind) -> Root:
         f"numbers[0], numbers[1], numbers[2], {_tuple(3, len(CONTACT.parameters))}"
     )
     results = "out[:count], out[count:], clear[:count], clear[count:]"
-    call = f"contact.add_forces(law, {given}, {results})"
+    call, blocks = f"contact.add_forces(law, {given}, {results})", ()
     if kind == "product":
         results = "along[:count], along[count:], out[:count], out[count:]"
         call = f"contact.add_products(law, {given}, {results})"
-    return Root(f"contact_{kind}", (law,), "", BUFFERS["contact"], (call,))
+        blocks = (f"contact.add_blocks(law, {given}, out[:count], out[count:])",)
+    return Root(f"contact_{kind}", (law,), "", BUFFERS["contact"], (call,), blocks)
 
 
 def collision_root(kind: Kind) -> Root:
@@ -186,16 +189,20 @@ def collision_root(kind: Kind) -> Root:
     vertices = "points, vertex, corners, apart, margin, numbers[0], numbers[1]"
     edges = "points, edges, edge_margin, numbers[0]"
     results = "out[count:], clear[count:]"
-    add = "forces"
+    add, blocks = "forces", ()
     if kind == "product":
         add, results = "products", "along[count:], out[count:]"
+        blocks = (
+            "points = nodes[count:]",
+            f"collision.add_blocks(law, wall, {vertices}, {p}, out[count:])",
+        )
     statements = (
         "points = nodes[count:]",
         f"collision.add_{add}(law, wall, {vertices}, {p}, {results})",
         f"collision.add_{add}_of_edges(wall_of_edges, {edges}, {p}, {results})",
     )
     buffers = BUFFERS["collision"]
-    return Root(f"collision_{kind}", functions, "", buffers, statements)
+    return Root(f"collision_{kind}", functions, "", buffers, statements, blocks)
 
 
 def element_root(term: Term, rest: int, kind: Kind) -> Root:
@@ -236,6 +243,32 @@ def element_root(term: Term, rest: int, kind: Kind) -> Root:
         ),
         "",
     ]
-    call = f"add(nodes, along, stencil, rest, alive, {_tuple(0, count)}, out)"
-    source = "\n".join(lines)
-    return Root(f"{term.name}_{kind}", (own,), source, BUFFERS["elements"], (call,))
+    p = _tuple(0, count)
+    call = f"add(nodes, along, stencil, rest, alive, {p}, out)"
+    source, blocks = "\n".join(lines), ()
+    if kind == "product":
+        source += _BLOCKS
+        blocks = (f"add_blocks(nodes, stencil, rest, alive, {p}, out)",)
+    buffers = BUFFERS["elements"]
+    return Root(f"{term.name}_{kind}", (own,), source, buffers, (call,), blocks)
+
+
+_BLOCKS = """
+@regrouped
+def add_blocks(nodes, stencil, rest, alive, p, out):
+    way, product = np.zeros(nodes.shape), np.zeros(nodes.shape)
+    for e in range(len(alive)):
+        if not alive[e]:
+            continue
+        own, data, on = stencil[e : e + 1], rest[e : e + 1], alive[e : e + 1]
+        for node in own[0]:
+            for axis in range(3):
+                way[node, axis] = 1.0
+                add(nodes, way, own, data, on, p, product)
+                way[node, axis] = 0.0
+                for k in range(3):
+                    out[node, 3 * axis + k] += product[node, k]
+                    for other in own[0]:
+                        product[other, k] = 0.0
+"""
+"""A column of a node's block is the product of one element with its displacement."""

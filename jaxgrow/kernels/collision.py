@@ -9,7 +9,7 @@ from typing import Any, no_type_check
 import numpy as np
 
 from jaxgrow.kernels.closest import closest_of_segments, LENGTH, measure, OF_B, OF_C
-from jaxgrow.kernels.contact import add_bent, approach
+from jaxgrow.kernels.contact import add_bent, add_squares, approach
 from jaxgrow.kernels.regrouped import regrouped
 from jaxgrow.kernels.smooth_minimum import smooth_changes, smooth_minima
 
@@ -256,6 +256,56 @@ def add_products_of_edges(
                 product[b, axis] += g[3 + axis]
                 product[c, axis] += g[6 + axis]
                 product[d, axis] += g[9 + axis]
+
+
+@regrouped
+@no_type_check
+def add_blocks(
+    slopes_of: Any,
+    walls_of: Any,
+    points: np.ndarray,
+    vertex: np.ndarray,
+    corners: np.ndarray,
+    apart: np.ndarray,
+    margin: np.ndarray,
+    scale: float,
+    half: float,
+    p: tuple,
+    blocks: np.ndarray,
+) -> None:
+    """Add about the diagonal blocks of the Hessian of what `add_forces` adds.
+
+    See `jaxgrow.kernels.contact.add_blocks`, to which the barrier's own are added.
+    Those of edges against edges are left out: they meet where vertices do too.
+
+    Args:
+        slopes_of: first and second derivative of the repulsion.
+        walls_of: of the barrier.
+        points: as for `add_forces`, likewise what follows.
+        vertex: likewise.
+        corners: likewise.
+        apart: likewise.
+        margin: likewise.
+        scale: likewise.
+        half: likewise.
+        p: likewise.
+        blocks: in F(0)/r0, of each point in a row; added to.
+    """
+    found, value = _found(points, vertex, corners, apart, margin, scale)
+    count = len(value)
+    u, slope, power = np.zeros(count), np.zeros(count), np.zeros(count)
+    smooth_minima(vertex[:count], value, half, 1.0, u, slope, power)
+    for pair in range(count):
+        length, stiffness = found[LENGTH, pair], 0.0
+        if not (margin[pair] > 0.0 and length > 0.0):
+            continue
+        if slope[pair] > 0.0 and u[pair] < 1.0:
+            stiffness = slopes_of(u[pair], *p)[1] * slope[pair] / (scale * scale)
+        if length < margin[pair] * scale:
+            stiffness += walls_of(length, margin[pair], *p)[1]
+        if stiffness > 0.0:
+            a, b, c = corners[pair, 0], corners[pair, 1], corners[pair, 2]
+            add_squares(stiffness, found, pair, vertex[pair], a, b, c, blocks, blocks)
 
 
 @regrouped

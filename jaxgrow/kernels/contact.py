@@ -317,3 +317,93 @@ def add_products(
                 on_particles,
                 on_vertices,
             )
+
+
+@regrouped
+@no_type_check
+def add_squares(
+    stiffness: float,
+    found: np.ndarray,
+    pair: int,
+    i: int,
+    a: int,
+    b: int,
+    c: int,
+    of_point: np.ndarray,
+    of_vertices: np.ndarray,
+) -> None:
+    """Add stiffness n nᵀ, times the squares of weights, to the blocks of a pair.
+
+    Args:
+        stiffness: along the direction n from the closest point to the point.
+        found: closest points.
+        pair: the pair.
+        i: the point, of weight 1.
+        a: first corner of the triangle.
+        b: its second.
+        c: its third.
+        of_point: blocks of points in rows; added to.
+        of_vertices: likewise.
+    """
+    length, v, w = found[LENGTH, pair], found[OF_B, pair], found[OF_C, pair]
+    u = 1.0 - v - w
+    for row in range(3):
+        size = stiffness * found[row, pair] / (length * length)
+        for column in range(3):
+            part, place = size * found[column, pair], 3 * row + column
+            of_point[i, place] += part
+            of_vertices[a, place] += part * u * u
+            of_vertices[b, place] += part * v * v
+            of_vertices[c, place] += part * w * w
+
+
+@regrouped
+@no_type_check
+def add_blocks(
+    slopes_of: Any,
+    position: np.ndarray,
+    vertices: np.ndarray,
+    alive: np.ndarray,
+    particle: np.ndarray,
+    corners: np.ndarray,
+    real: np.ndarray,
+    scale: float,
+    half: float,
+    reach: float,
+    p: tuple,
+    of_particles: np.ndarray,
+    of_vertices: np.ndarray,
+) -> None:
+    """Add about the diagonal blocks of the contact's Hessian: E'' ∂u/∂d n nᵀ.
+
+    A particle sees a surface that is nearly flat through several triangles: the
+    directions n of its pairs are about the same, and the ∂u/∂d add up to about 1, so
+    that this is about E'' ∇u ∇uᵀ, summed up. What comes of changes of n and of
+    ∂u/∂d is left out, and so is E'' where it is negative.
+
+    Args:
+        slopes_of: first and second derivative of the energy of a particle.
+        position: as for `add_forces`, likewise what follows.
+        vertices: likewise.
+        alive: likewise.
+        particle: likewise.
+        corners: likewise.
+        real: likewise.
+        scale: likewise.
+        half: likewise.
+        reach: likewise.
+        p: likewise.
+        of_particles: blocks in F(0)/r0, in rows; added to.
+        of_vertices: likewise.
+    """
+    found, value = _found(position, vertices, particle, corners, real, scale, reach)
+    pairs = len(value)
+    u, slope, power = np.zeros(pairs), np.zeros(pairs), np.zeros(pairs)
+    smooth_minima(particle[:pairs], value, half, reach, u, slope, power)
+    for pair in range(pairs):
+        i = particle[pair]
+        second = slopes_of(u[pair], *p)[1]
+        if slope[pair] > 0.0 and alive[i] and second > 0.0:
+            a, b, c = corners[0, pair], corners[1, pair], corners[2, pair]
+            stiffness = second * slope[pair] / (scale * scale)
+            add_squares(stiffness, found, pair, i, a, b, c, of_particles, of_vertices)

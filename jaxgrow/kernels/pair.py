@@ -125,3 +125,51 @@ def add_products(
         product[i, 0] += fx
         product[i, 1] += fy
         product[i, 2] += fz
+
+
+@regrouped
+@no_type_check
+def add_blocks(
+    slopes: Any,
+    position: np.ndarray,
+    tumour: np.ndarray,
+    listed: np.ndarray,
+    cutoff: float,
+    p: tuple,
+    blocks: np.ndarray,
+) -> None:
+    """Add the diagonal blocks of the pairs' Hessian.
+
+    With the distance u along n it is U'' n nᵀ + U'/u (1 - n nᵀ) of each pair.
+
+    Args:
+        slopes: first and second derivative of the energy of a pair.
+        position: as for `add_forces`, likewise what follows.
+        tumour: likewise.
+        listed: likewise.
+        cutoff: likewise.
+        p: likewise.
+        blocks: in F(0)/r0, of each particle in a row; added to.
+    """
+    room, count = listed.shape
+    gap = np.zeros(3)
+    for i in range(count):
+        if position[i, 0] >= AWAY:
+            continue
+        for k in range(room):
+            j = listed[k, i]
+            if j >= count:
+                continue
+            for axis in range(3):
+                gap[axis] = position[i, axis] - position[j, axis]
+            square = gap[0] * gap[0] + gap[1] * gap[1] + gap[2] * gap[2]
+            if square > cutoff * cutoff or square == 0.0:
+                continue
+            u = math.sqrt(square)
+            slope, curvature = slopes(u, float(tumour[i]), float(tumour[j]), *p)
+            ratio = slope / u
+            factor = (curvature - ratio) / square
+            for row in range(3):
+                blocks[i, 4 * row] += ratio
+                for column in range(3):
+                    blocks[i, 3 * row + column] += factor * gap[row] * gap[column]

@@ -1,10 +1,11 @@
 """Loops that are printed: from a term's energy to the address of a compiled function.
 
 A *root* is what one term does at every evaluation: it adds its forces, or its Hessian's
-product with a displacement. Its source is printed into a file of the cache folder, and
-compiled there by numba, which keeps what it compiled beside it. A root is called by
-its address, so that it is never optimised together with a caller: its bits depend on
-nothing else.
+product with a displacement; or once for a linear solve, which it makes quicker, about
+the diagonal blocks of its Hessian, 3 × 3 for each node. Its source is printed into a
+file of the cache folder, and compiled there by numba, which keeps what it compiled
+beside it. A root is called by its address, so that it is never optimised together with
+a caller: its bits depend on nothing else.
 
 A root is given the address of a table of whole numbers: for each of its buffers the
 address and two lengths, then for each working array likewise.
@@ -77,6 +78,8 @@ class Root:
         statements: its body: they know the buffers by name, `nodes` (particles, then
             vertices, then static ones), `count` particles, the displacement `along`,
             `out` that is added to, and the distances `clear` that are lowered.
+        blocks: statements that add diagonal blocks to the rows of `out`, likewise; none
+            for a root of forces.
     """
 
     name: str
@@ -84,6 +87,7 @@ class Root:
     loops: str
     buffers: tuple[Buffer, ...]
     statements: tuple[str, ...]
+    blocks: tuple[str, ...] = ()
 
 
 _READERS = {
@@ -126,16 +130,23 @@ def source_of(root: Root) -> str:
             _HEAD,
             *(f"\n@regrouped\n{text}\n" for text in printed),
             root.loops,
-            _main(root),
+            _main("root", root.buffers, root.statements, columns=3),
+            *(
+                [_main("blocks", root.buffers, root.blocks, columns=9)]
+                * bool(root.blocks)
+            ),
         ]
     )
 
 
-def _main(root: Root) -> str:
-    lines = ["", "@cfunc(types.void(types.intp), cache=True)", "def root(table_at):"]
-    words = 3 * len(root.buffers)
+def _main(
+    name: str, buffers: Sequence[Buffer], statements: Sequence[str], columns: int
+) -> str:
+    """Source of the function that is called with a table; `out` has so many columns."""
+    lines = ["", "@cfunc(types.void(types.intp), cache=True)", f"def {name}(table_at):"]
+    words = 3 * len(buffers)
     lines += [f"    table = long_indices(table_at, ({words + 6},))"]
-    for number, buffer in enumerate(root.buffers):
+    for number, buffer in enumerate(buffers):
         at = 3 * number
         shape = ", ".join(f"table[{at + 1 + axis}]" for axis in range(buffer.rank))
         reader = _READERS[buffer.kind]
@@ -144,9 +155,9 @@ def _main(root: Root) -> str:
         f"    total, count = table[{words}], table[{words + 1}]",
         f"    nodes = reals(table[{words + 2}], (total, 3))",
         f"    along = reals(table[{words + 3}], (total, 3))",
-        f"    out = reals(table[{words + 4}], (total, 3))",
+        f"    out = reals(table[{words + 4}], (total, {columns}))",
         f"    clear = reals(table[{words + 5}], (total,))",
-        *(f"    {statement}" for statement in root.statements),
+        *(f"    {statement}" for statement in statements),
         "",
     ]
     return "\n".join(lines)

@@ -1,17 +1,17 @@
 """The linear response of `jaxgrow.equilibrium.response` as one loop, called by XLA.
 
 Conjugate gradients on Hessian products of the terms' roots (see
-`jaxgrow.kernels.roots`). Where something is pinned or held, as in every patch, rows are
-scaled by an estimate of their diagonal (Hutchinson: the mean of z · H z over random
-signs z), which takes a third to a half of the products; where rigid modes have to be
-projected out they are not.
+`jaxgrow.kernels.roots`). Where something is pinned or held, as in every patch,
+residuals are scaled by the inverse of the Hessian's diagonal blocks (block Jacobi),
+3 × 3 for each node, which takes half to two thirds of the products; where rigid modes
+have to be projected out they are not.
 
 Arguments: addresses of the roots, their wiring, which particles are alive, nodes, which
 of them are free, whether the whole may shift and turn, the force, limits (relative
 residual to stop at, most products, and least curvature over the largest met), a force
-without symmetry, and the buffers. Results: the displacement; its residual and the
-smallest curvature met; numbers of products and of null modes, and the code of the
-`Result`.
+without symmetry, the blocks or about them, and the buffers. Results: the displacement;
+its residual and the smallest curvature met; numbers of products and of null modes, and
+the code of the `Result`.
 """
 
 import math
@@ -30,11 +30,13 @@ from jaxgrow.results import Result
 CONVERGED, SINGULAR = Result.CONVERGED.code, Result.SINGULAR.code
 NOT_SOLVED = Result.NOT_SOLVED.code
 
-_PROBES = 6
-"""Random vectors that the diagonal is estimated with; each is a product."""
-
 _LEAST = 0.02
-"""Estimates below this share of their mean are replaced by it: some are negative."""
+"""Stiffness, over the mean of all nodes, that softer nodes are given if their block has
+no inverse."""
+
+_THIN = 1e-12
+"""Determinant of a block, over the cube of its mean stiffness, from which on it has an
+inverse."""
 
 
 @regrouped
@@ -117,42 +119,39 @@ def _project(modes: np.ndarray, vector: np.ndarray) -> None:
 
 @njit(cache=True)
 @no_type_check
-def _scales(
-    addresses: np.ndarray,
-    tables: np.ndarray,
-    free: np.ndarray,
-    touching: np.ndarray,
-    way: np.ndarray,
-    product: np.ndarray,
-) -> np.ndarray:
-    """The inverse of the estimated diagonal of each row; 0 for rows without."""
-    rows = len(free)
-    diagonal, signs = np.zeros(rows), np.zeros((rows, 3))
-    state = np.uint64(88172645463325252)
-    for _ in range(_PROBES):
-        for i in range(rows):
-            for axis in range(3):
-                # Marsaglia's xorshift
-                state ^= state << np.uint64(13)
-                state ^= state >> np.uint64(7)
-                state ^= state << np.uint64(17)
-                signs[i, axis] = 1.0 if state & np.uint64(1 << 40) else -1.0
-        _multiply(addresses, tables, free, signs, way, product)
-        for i in range(rows):
-            for axis in range(3):
-                diagonal[i] += signs[i, axis] * product[i, axis]
+def _invert(block: np.ndarray, least: float, inverse: np.ndarray) -> None:
+    """Write the inverse of a symmetric block, or of its mean if it is not positive."""
+    a, b, c, d, e, f = block[0], block[1], block[2], block[4], block[5], block[8]
+    of_a, of_b, of_c = d * f - e * e, c * e - b * f, b * e - c * d
+    of_f = a * d - b * b
+    determinant = a * of_a + b * of_b + c * of_c
+    size = (a + d + f) / 3.0
+    if a > 0.0 and of_f > 0.0 and determinant > _THIN * max(size, least) ** 3:
+        inverse[0, 0], inverse[1, 1], inverse[2, 2] = of_a, a * f - c * c, of_f
+        inverse[0, 1], inverse[0, 2], inverse[1, 2] = of_b, of_c, b * c - a * e
+        inverse[1, 0], inverse[2, 0] = inverse[0, 1], inverse[0, 2]
+        inverse[2, 1] = inverse[1, 2]
+        inverse /= determinant
+        return
+    for axis in range(3):
+        inverse[axis, axis] = 1.0
+        if 0.0 < least < np.inf:
+            inverse[axis, axis] /= max(size, least)
+
+
+@njit(cache=True)
+@no_type_check
+def _scales(blocks: np.ndarray, touching: np.ndarray) -> np.ndarray:
+    """The inverse of the block of each row; 0 for rows that feel nothing."""
     mean, count = 0.0, 0
-    for i in range(rows):
+    for i in range(len(touching)):
         if touching[i]:
-            mean += abs(diagonal[i])
+            mean += abs(blocks[i, 0] + blocks[i, 4] + blocks[i, 8]) / 3.0
             count += 1
-    mean /= max(count, 1)
-    scales = np.zeros(rows)
-    for i in range(rows):
+    scales = np.zeros((len(touching), 3, 3))
+    for i in range(len(touching)):
         if touching[i]:
-            scales[i] = 1.0
-            if mean > 0.0 and mean < np.inf:
-                scales[i] = mean / max(diagonal[i], _LEAST * mean)
+            _invert(blocks[i], _LEAST * mean / count, scales[i])
     return scales
 
 
@@ -167,6 +166,7 @@ def solve(
     force: np.ndarray,
     limits: np.ndarray,
     uneven: np.ndarray,
+    blocks: np.ndarray,
     way: np.ndarray,
     product: np.ndarray,
     x: np.ndarray,
@@ -184,10 +184,9 @@ def solve(
         null_modes += 3 * (bool(free[i]) and not touching[i])
     modes = _rigid_modes(nodes, touching, bool(loose[0]), bool(loose[1]))
     counts[0], counts[1] = 0, null_modes + len(modes)
-    scales = touching.astype(np.float64)
-    if len(modes) == 0:
-        scales = _scales(addresses, tables, free, touching, way, product)
-        counts[0] += _PROBES
+    if len(modes) > 0:
+        blocks = np.zeros_like(blocks)  # whose inverses are 1
+    scales = _scales(blocks, touching)
     b = np.zeros((rows, 3))
     for i in range(rows):
         for axis in range(3):
@@ -205,7 +204,8 @@ def solve(
     while counts[0] < most and not flat:
         for i in range(rows):
             for axis in range(3):
-                z[i, axis] = scales[i] * r[i, axis]
+                row = scales[i, axis]
+                z[i, axis] = row[0] * r[i, 0] + row[1] * r[i, 1] + row[2] * r[i, 2]
         now = _dot(r, z)
         if first:
             scaled = relative * relative * now
@@ -263,6 +263,7 @@ ARGUMENTS = (
     Argument("force", np.float64, 2),
     Argument("limits", np.float64, 1),
     Argument("uneven", np.float64, 2),
+    Argument("blocks", np.float64, 2),
 )
 RESULTS = (
     Argument("displacement", np.float64, 2),
@@ -299,6 +300,7 @@ def handler(frame: int) -> int:
         frames.reals(frames.argument(frame, 6), (rows, 3)),
         frames.reals(frames.argument(frame, 7), (3,)),
         frames.reals(frames.argument(frame, 8), (rows, 3)),
+        frames.reals(frames.argument(frame, 9), (total, 9)),
         way,
         product,
         frames.reals(frames.result(frame, 0), (rows, 3)),

@@ -1,8 +1,9 @@
 """The terms of an energy as a handler of XLA: one evaluation of their roots.
 
 Arguments: addresses of the roots, wiring (see `jaxgrow.kernels.tables`), which
-particles are alive, nodes, a displacement (of no rows for forces), and the buffers.
-Results: what the roots add up, and the distances to what each node must not cross.
+particles are alive, nodes, a displacement (of no rows for forces and blocks), and the
+buffers. Results: what the roots add up, in 3 columns or, for blocks, in 9; and the
+distances to what each node must not cross.
 """
 
 from typing import no_type_check
@@ -42,7 +43,8 @@ def handler(frame: int) -> int:
     wiring = frames.long_indices(frames.argument(frame, 1), (roots, most))
     nodes = frames.reals(frames.argument(frame, 3), (total, 3))
     along = frames.reals(frames.argument(frame, 4), (frames.size(frame, 4, 0), 3))
-    out = frames.reals(frames.result(frame, 0), (total, 3))
+    columns = frames.size_of_result(frame, 0, 1)
+    out = frames.reals(frames.result(frame, 0), (total, columns))
     clear = frames.reals(frames.result(frame, 1), (total,))
     out[:], clear[:] = 0.0, np.inf
     count, last = frames.size(frame, 2, 0), frames.count_arguments(frame)

@@ -10,7 +10,7 @@ from jaxgrow.energy.bending import Bending
 from jaxgrow.energy.contact import list_contacts, reach
 from jaxgrow.energy.springs import Springs
 from jaxgrow.equilibrium.lists import Lists
-from jaxgrow.equilibrium.loops import with_loops
+from jaxgrow.equilibrium.loops import blocks, with_loops
 from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.neighbors import Neighbors
 
@@ -138,6 +138,37 @@ def test_hessian_products_are_derivatives_of_the_forces(make, kind, term):
         return  # the second derivative is singular there
     wanted = evaluated(problem, lists, along)[2]
     close(seen(problem, found), seen(problem, wanted), 1e-11)
+
+
+def blocks_of(problem, lists):
+    """The diagonal blocks of the second derivative of the energy."""
+    leaves, structure = jax.tree.flatten(problem.nodes())
+    rows = jnp.concatenate(leaves)
+    places = np.cumsum([len(leaf) for leaf in leaves])[:-1]
+
+    def slope(block, i):
+        at = rows.at[i].add(block)
+        nodes = jax.tree.unflatten(structure, jnp.split(at, places))
+        return jnp.concatenate(
+            jax.tree.leaves(jax.grad(lambda n: problem.energy(n, lists))(nodes))
+        )[i]
+
+    each = jax.vmap(jax.jacfwd(slope), (None, 0))
+    return jax.jit(each)(jnp.zeros(3), jnp.arange(len(rows)))
+
+
+def test_diagonal_blocks_are_those_of_the_second_derivative(make, kind, term):
+    problem, looped, lists = make(kind)
+    if kind == "degenerate" and term in ("contact", "collision", "bending"):
+        return  # the second derivative is singular there
+    alive = np.concatenate(jax.tree.leaves(problem.free()))[:, 0] > 0
+    found = jax.jit(blocks)(looped, lists)[: len(alive)].reshape(-1, 3, 3)[alive]
+    wanted = blocks_of(problem, lists)[alive]
+    size = float(jnp.linalg.norm(wanted))
+    assert size > 0.1
+    error = float(jnp.linalg.norm(found - wanted))
+    # of contact and of collisions the stiff direction of each pair is enough
+    assert error < {"contact": 0.3, "collision": 0.85}.get(term, 1e-11) * size
 
 
 def test_hessian_is_symmetric(make):

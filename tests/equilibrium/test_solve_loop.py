@@ -53,6 +53,16 @@ def test_response_is_that_of_the_program(scene):
         np.testing.assert_allclose(a, b, atol=1e-7 * float(jnp.abs(b).max()))
 
 
+def test_diagonal_blocks_save_products(bed):
+    # with the mean stiffness of each node in their place it takes 100
+    outcome = relax(*bed, tolerance=1e-12)
+    problem = Problem.of(*outcome.state, Parameters())
+    looped = with_loops(problem, outcome.lists, products=True)
+    found = solved(looped, outcome.lists, force_on(problem))[0]
+    assert int(found.code) == Result.CONVERGED.code
+    assert int(found.products) < 85
+
+
 def test_minimum_is_proved_as_by_the_program(scene):
     problem, lists = scene
     looped = with_loops(problem, lists, products=True)
