@@ -228,7 +228,7 @@ def test_lists_may_be_used_again_and_by_other_methods(ball):
 def test_without_loops_it_comes_to_the_same(ball, monkeypatch):
     start = divided(ball, 0)
     ends = [relax(start, tolerance=1e-2, method="local").state[0].position]
-    monkeypatch.setattr(kept, "loops", lambda _: None)
+    monkeypatch.setattr(kept, "pair_module", lambda: None)
     ends.append(relax(start, tolerance=1e-2, method="local").state[0].position)
     np.testing.assert_allclose(*ends, rtol=0, atol=1e-9)
 
@@ -237,9 +237,9 @@ def test_a_derivative_is_taken_with_lists_of_where_it_ended(ball, monkeypatch):
     far = eqx.tree_at(lambda p: p.position, ball, 1.5 * ball.position)
     given = []
 
-    def told(problem, nodes, lists, *, valid):
-        given.append((problem, nodes, lists))
-        return nodes
+    def told(problem, found, lists, *, valid):
+        given.append((problem, found.nodes, lists))
+        return found
 
     monkeypatch.setattr(equilibrium, "at_equilibrium", told)
     monkeypatch.setattr(equilibrium, "exact_tolerance", lambda _: 1e-2)
