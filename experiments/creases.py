@@ -1,14 +1,14 @@
 """Creases of a polyp: how much of its surface is bent sharply, by bending stiffness.
 
-    python experiments/creases.py [--seeds 8] [--divisions N]
+    python experiments/creases.py [--seeds 8] [--size 10] [--moduli K ...] [--rest flat]
 
 grows the default polyp with several bending moduli, with hinges at rest where they are
 flat and with hinges whose angle at rest is reset with the springs, and writes
-``results/creases.json`` and a picture of each: the share of the lesion's edges that are
-bent by more than 45 and 90 degrees, their median, and shape metrics, as means over
-seeds with their standard errors. Rows that are not asked for are kept as they are. An
-edge is the lesion's if both of its ends are; its angle is that between the normals of
-its triangles.
+``results/creases.json``, and with ``--pictures`` a run of each: the share of the
+lesion's edges that are bent by more than 45 and 90 degrees, their median, and shape
+metrics, as means over seeds with their standard errors. Rows that are not asked for are
+kept as they are. An edge is the lesion's if both of its ends are; its angle is that
+between the normals of its triangles.
 """
 
 import argparse

@@ -64,7 +64,7 @@ def keep_programs() -> None:
     """Have JAX keep every program that it compiles in the folder of `compile_cache`.
 
     Call it once, at the top of a script or a notebook: its next run reads the programs
-    from there. A first gradient takes a third of the time then. The command does it
+    from there. A first gradient takes half of the time then. The command does it
     anyway. Where JAX was told of another folder (`jax.config`), that is left as it is.
     It sets `jax_compilation_cache_dir` and, as most of the programs compile in less
     than the second from which JAX keeps them, its least time and size.
