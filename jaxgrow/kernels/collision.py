@@ -8,33 +8,28 @@ from typing import Any, no_type_check
 
 import numpy as np
 
-from jaxgrow.kernels.closest import closest_of_segments, LENGTH, measure, OF_B, OF_C
-from jaxgrow.kernels.contact import add_bent, add_squares, approach
+from jaxgrow.kernels.closest import closest_of_segments, LENGTH, OF_B, OF_C
 from jaxgrow.kernels.regrouped import regrouped
-from jaxgrow.kernels.smooth_minimum import smooth_changes, smooth_minima
+from jaxgrow.kernels.smooth_distance import (
+    add_bent,
+    add_squares,
+    approach,
+    smooth_distances,
+)
+from jaxgrow.kernels.smooth_minimum import smooth_changes
 
 
 @regrouped
 @no_type_check
-def _found(
-    points: np.ndarray,
-    vertex: np.ndarray,
-    corners: np.ndarray,
-    apart: np.ndarray,
-    margin: np.ndarray,
-    scale: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Closest points of the pairs, and distances of those apart in collision ranges."""
-    count = len(vertex)
+def _counted(apart: np.ndarray, margin: np.ndarray) -> np.ndarray:
+    """Return which pairs repel by their smooth distance, without the padding behind."""
+    count = len(margin)
     while count > 0 and not margin[count - 1] > 0.0:
         count -= 1
-    found = np.zeros((6, count))
-    measure(points, vertex[:count], points, corners[:count].T, found)
-    value = np.zeros(count)
+    counts = np.zeros(count, np.bool_)
     for pair in range(count):
-        counts = margin[pair] > 0.0 and apart[pair]
-        value[pair] = found[LENGTH, pair] / scale if counts else 1.0
-    return found, value
+        counts[pair] = margin[pair] > 0.0 and apart[pair]
+    return counts
 
 
 @regrouped
@@ -69,10 +64,11 @@ def add_forces(
         force: on all points, in F(0); added to.
         clear: distances in r0, the least so far; lowered.
     """
-    found, value = _found(points, vertex, corners, apart, margin, scale)
-    count = len(value)
-    u, slope, power = np.zeros(count), np.zeros(count), np.zeros(count)
-    smooth_minima(vertex[:count], value, half, 1.0, u, slope, power)
+    counts = _counted(apart, margin)
+    count = len(counts)
+    owner, own = vertex[:count], corners[:count].T
+    given = points, owner, points, own, counts, scale, half, 1.0
+    found, _, u, slope, _ = smooth_distances(*given)
     push = 0.0
     for pair in range(count):
         i, length = vertex[pair], found[LENGTH, pair]
@@ -128,18 +124,17 @@ def add_products(
         way: displacement of all points.
         product: added to.
     """
-    found, value = _found(points, vertex, corners, apart, margin, scale)
-    count = len(value)
-    u, slope, power = np.zeros(count), np.zeros(count), np.zeros(count)
-    smooth_minima(vertex[:count], value, half, 1.0, u, slope, power)
+    counts = _counted(apart, margin)
+    count = len(counts)
+    owner, own = vertex[:count], corners[:count].T
+    given = points, owner, points, own, counts, scale, half, 1.0
+    found, value, u, slope, power = smooth_distances(*given)
     moved, turned, along = np.zeros(count), np.zeros(count), np.zeros(count)
     for pair in range(count):
         if slope[pair] > 0.0:
             a, b, c = corners[pair, 0], corners[pair, 1], corners[pair, 2]
             moved[pair] = approach(found, pair, way, vertex[pair], way, a, b, c) / scale
-    smooth_changes(
-        vertex[:count], value, moved, half, 1.0, u, slope, power, along, turned
-    )
+    smooth_changes(owner, value, moved, half, 1.0, u, slope, power, along, turned)
     push, second = 0.0, 0.0
     for pair in range(count):
         i, length = vertex[pair], found[LENGTH, pair]
@@ -291,10 +286,11 @@ def add_blocks(
         p: likewise.
         blocks: in F(0)/r0, of each point in a row; added to.
     """
-    found, value = _found(points, vertex, corners, apart, margin, scale)
-    count = len(value)
-    u, slope, power = np.zeros(count), np.zeros(count), np.zeros(count)
-    smooth_minima(vertex[:count], value, half, 1.0, u, slope, power)
+    counts = _counted(apart, margin)
+    count = len(counts)
+    owner, own = vertex[:count], corners[:count].T
+    given = points, owner, points, own, counts, scale, half, 1.0
+    found, _, u, slope, _ = smooth_distances(*given)
     for pair in range(count):
         length, stiffness = found[LENGTH, pair], 0.0
         if not (margin[pair] > 0.0 and length > 0.0):
