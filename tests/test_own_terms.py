@@ -16,6 +16,7 @@ from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.loops import how_terms_run, PrintingWarning, with_loops
 from jaxgrow.equilibrium.part import able, around, cut, Mask, none_of
 from jaxgrow.equilibrium.problem import Problem
+from jaxgrow.equilibrium.products import hessian_product
 from jaxgrow.equilibrium.relax import relax
 from jaxgrow.parameters import Parameters
 from jaxgrow.results import Result
@@ -126,7 +127,7 @@ def test_forces_and_hessian_products_come_from_the_energy_of_one_element(sheet, 
 
     @eqx.filter_jit
     def evaluate(p):
-        return p.forces(nodes, lists), p.product(nodes, lists)(way)
+        return p.forces(nodes, lists), hessian_product(p, nodes, lists)(way)
 
     for found, wanted in zip(evaluate(looped), evaluate(problem), strict=True):
         assert float(jnp.abs(wanted.vertices).max()) > 1e-3

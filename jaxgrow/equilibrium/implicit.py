@@ -44,6 +44,7 @@ from jaxgrow.equilibrium.linear_map import linear_map
 from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.loops import with_loops
 from jaxgrow.equilibrium.problem import Problem
+from jaxgrow.equilibrium.products import force_along, hessian_product
 from jaxgrow.equilibrium.response import linearise, probe, Response, solve, solved
 from jaxgrow.equilibrium.transformations import primal
 from jaxgrow.results import Result
@@ -128,7 +129,7 @@ def _forward(known: _Known, flat: Float[Array, " k"]) -> Float[Array, " l"]:
         return eqx.combine(floats, rest).forces(nodes, lists)
 
     _, felt = jax.jvp(forces, (floats,), (changed,))
-    product = problem.product(nodes, lists)
+    product = hessian_product(problem, nodes, lists)
     held = _chosen(free, jax.tree.map(jnp.zeros_like, nodes), changed.nodes())
     response = _respond(problem, lists, _minus(felt, product(held)))
     moved = _chosen(free, response.nodes, held)
@@ -143,12 +144,12 @@ def _backward(known: _Known, flat: Float[Array, " l"]) -> Float[Array, " k"]:
     nodes, free = problem.nodes(), problem.free()
     floats, rest = eqx.partition(problem.with_loops(None), eqx.is_inexact_array)
     weight = _shaped(flat, Equilibrium(nodes, nodes))
-    product = problem.product(nodes, lists)
+    product = hessian_product(problem, nodes, lists)
     response = _respond(problem, lists, _minus(weight.nodes, product(weight.forces)))
     along = jax.tree.map(jnp.add, response.nodes, weight.forces)
 
     def felt(floats: Problem) -> Float[Array, ""]:
-        return eqx.combine(floats, rest).force_along(nodes, lists, along)
+        return force_along(eqx.combine(floats, rest), nodes, lists, along)
 
     pulled = jax.grad(felt)(floats)
     held = _minus(weight.nodes, product(along))

@@ -220,56 +220,11 @@ class Problem(eqx.Module):
 
     def energy(self, nodes: Nodes, lists: Lists) -> Float[Array, ""]:
         """Energy in F(0) r0; only the terms that the scene has are traced."""
-        at = self.at(nodes)
-        return at._energy(lists, at.distances(lists))
+        return self.at(nodes).energy_here(lists)
 
     def forces(self, nodes: Nodes, lists: Lists) -> Nodes:
         """Minus the gradient of the energy, on held and pinned nodes too."""
         return self._forces_and_clearances(nodes, lists)[0]
-
-    def force_along(self, nodes: Nodes, lists: Lists, way: Nodes) -> Float[Array, ""]:
-        """Return the forces' scalar product with a displacement of all nodes.
-
-        It is minus the derivative of the energy along it, and so can be differentiated
-        in what the forces depend on without a second derivative of distances.
-        """
-        but = self.but(functions=(), loops=None)
-        _, slope = jax.jvp(lambda at: but.energy(at, lists), (nodes,), (way,))
-        for function in self.functions:  # which may know derivatives in reverse only
-
-            def own(at: Nodes, energy: EnergyFunction = function) -> Array:
-                moved = self.at(at)
-                return energy(moved.particles, moved.membrane)
-
-            along = jax.tree.map(jnp.vdot, jax.grad(own)(nodes), way)
-            slope += sum(jax.tree.leaves(along))
-        return -slope
-
-    def product(self, nodes: Nodes, lists: Lists) -> Callable[[Nodes], Nodes]:
-        """The function that multiplies a displacement by the energy's Hessian.
-
-        Args:
-            nodes: where the Hessian is taken.
-            lists: valid there.
-        """
-        loops = self.loops
-        if loops is None or loops.product is None:
-            plain = self.but(loops=None)
-            _, slope = jax.linearize(lambda at: plain.forces(at, lists), nodes)
-            return lambda along: jax.tree.map(jnp.negative, slope(along))
-
-        def rest(at: Nodes) -> Float[Array, ""]:
-            moved = self.at(at)
-            return moved._energy(lists, moved.distances(lists), (*loops.names, "load"))
-
-        def multiplied(along: Nodes) -> Nodes:
-            own, _ = evaluate(self, nodes, lists, along)
-            if self.is_looped(lists):
-                return own
-            more = jax.jvp(jax.grad(rest), (nodes,), (along,))[1]
-            return jax.tree.map(jnp.add, own, more)
-
-        return multiplied
 
     def bound(
         self,
@@ -435,7 +390,8 @@ class Problem(eqx.Module):
         def rest(at: Nodes) -> tuple[Float[Array, ""], Distances]:
             moved = self.at(at)
             apart = moved.distances(lists)
-            return moved._energy(lists, apart, (*done, "pair", "load")), apart
+            here = moved.energy_here(lists, apart, (*done, "pair", "load"))
+            return here, apart
 
         if self.loops is not None and self.is_looped(lists):
             forces, clear = evaluate(self, nodes, lists)
@@ -465,10 +421,21 @@ class Problem(eqx.Module):
         names = {term.name for term in wired(self, lists)}
         return not self.functions and names <= set(self.loops.names)
 
-    def _energy(
-        self, lists: Lists, apart: Distances, but: tuple[str, ...] = ()
+    def energy_here(
+        self,
+        lists: Lists,
+        apart: Distances | None = None,
+        but: tuple[str, ...] = (),
     ) -> Float[Array, ""]:
-        """Energy where it is, of all terms but those named."""
+        """Return the energy where the nodes are, in F(0) r0.
+
+        Args:
+            lists: valid there.
+            apart: distances of what is listed, if they are known.
+            but: names of terms to leave out.
+        """
+        if apart is None:
+            apart = self.distances(lists)
         total = jnp.zeros((), self.dtype)
         particles, membrane = self.particles, self.membrane
         for term in self.terms:

@@ -36,6 +36,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxgrow.equilibrium import loops
 from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.problem import Problem
+from jaxgrow.equilibrium.products import hessian_product
 from jaxgrow.results import Result
 from jaxgrow.state import Nodes
 from jaxgrow.types import Scalar
@@ -121,7 +122,7 @@ def linearise(problem: Problem, lists: Lists) -> Linearised:
         return jax.tree.map(jnp.multiply, free, nodes)
 
     force = problem.forces(problem.nodes(), lists)
-    hessian = problem.product(problem.nodes(), lists)
+    hessian = hessian_product(problem, problem.nodes(), lists)
 
     def product(vector: Nodes) -> Nodes:
         return masked(hessian(masked(vector)))

@@ -26,6 +26,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.problem import Problem
+from jaxgrow.equilibrium.products import hessian_product
 from jaxgrow.equilibrium.response import dot, Product
 from jaxgrow.numerics import safe_norm
 from jaxgrow.results import Result
@@ -223,7 +224,7 @@ def descend_by_trust(
         lists = problem.rebuilt(now.trial, best.lists, outgrown)
         energy = problem.energy(now.trial, lists)
         force = problem.forces(now.trial, lists)
-        hessian = problem.product(now.trial, lists)
+        hessian = hessian_product(problem, now.trial, lists)
         residual = _largest(masked(force))
         ratio = agreement(now, energy, residual)
         taken = now.certain | ((ratio > _ACCEPTED) & jnp.isfinite(residual))

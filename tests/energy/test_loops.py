@@ -12,6 +12,7 @@ from jaxgrow.energy.springs import Springs
 from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.loops import blocks, with_loops
 from jaxgrow.equilibrium.problem import Problem
+from jaxgrow.equilibrium.products import hessian_product
 from jaxgrow.neighbors import Neighbors
 
 from .conftest import all_pairs, CONTACTS, COUNT, dense_list, PARAMETERS
@@ -58,7 +59,7 @@ def evaluated(problem, lists, along):
     """Forces, bounds of a step, and a Hessian product."""
     nodes = problem.nodes()
     both = problem.forces_and_bound(nodes, lists, 0.1)
-    return *both, problem.product(nodes, lists)(along)
+    return *both, hessian_product(problem, nodes, lists)(along)
 
 
 @eqx.filter_jit
