@@ -46,7 +46,7 @@ from jaxgrow.energy.contact import (
 from jaxgrow.energy.distance import point_triangle_distance
 from jaxgrow.energy.pair import pair_force
 from jaxgrow.energy.springs import spring_energy
-from jaxgrow.transfer import put_particles
+from jaxgrow.transfer.device import put_particles
 
 
 BOUND = 1e-12

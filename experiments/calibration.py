@@ -35,11 +35,11 @@ import numpy as np
 
 import jaxgrow as jg
 from jaxgrow.calibration.coordinates import Coordinates
+from jaxgrow.calibration.evaluations import Growths, LesionGrower, Values
 from jaxgrow.calibration.fit import describe_request
-from jaxgrow.calibration.growths import Growths, LesionGrower, Values
 from jaxgrow.calibration.loss import Loss
-from jaxgrow.calibration.task import make_task, Task
-from jaxgrow.compile_cache import keep_programs
+from jaxgrow.calibration.spec import make_task, Task
+from jaxgrow.runtime.compile_cache import keep_programs
 
 
 RESULTS = Path(__file__).parent / "results"

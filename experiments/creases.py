@@ -20,10 +20,10 @@ import jax
 import numpy as np
 
 import jaxgrow as jg
-from jaxgrow.compile_cache import keep_programs
 from jaxgrow.energy.bending import Bending, hinge_angle
 from jaxgrow.mesh.quality import area_vectors
 from jaxgrow.mesh.topology import build_topology
+from jaxgrow.runtime.compile_cache import keep_programs
 
 
 RESULTS = Path(__file__).parent / "results"

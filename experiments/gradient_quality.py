@@ -27,8 +27,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 import jaxgrow as jg
-from jaxgrow.calibration.growths import LesionGrower
-from jaxgrow.calibration.task import make_task
+from jaxgrow.calibration.evaluations import LesionGrower
+from jaxgrow.calibration.spec import make_task
 
 
 mpl.use("Agg")

@@ -30,15 +30,15 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
 import jaxgrow as jg
-from jaxgrow import adaptation
 from jaxgrow.equilibrium.relax import relax
+from jaxgrow.growth import adaptation
 from jaxgrow.mesh.fairing import fair
 from jaxgrow.mesh.intersection import intersecting_pairs
 from jaxgrow.mesh.quality import radius_ratio
 from jaxgrow.mesh.surface import Surface
 from jaxgrow.mesh.winding import winding_number
 from jaxgrow.organ import locate_site
-from jaxgrow.transfer import get
+from jaxgrow.transfer.device import get
 
 
 RESULTS = Path(__file__).parent / "results"
@@ -290,7 +290,7 @@ def cost(options: argparse.Namespace) -> dict[str, Any]:
 
 def pictured(name: str, scene: jg.Scene) -> dict[str, Any]:
     """Grow, write the run's folder beside the results, and keep its picture."""
-    from jaxgrow.run_folder import write_run
+    from jaxgrow.io.run_folder import write_run
 
     def tell(progress: jg.Progress) -> None:
         if progress.divisions % 20 == 0:

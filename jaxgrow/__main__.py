@@ -2,7 +2,7 @@
 
 import sys
 
-from jaxgrow.cli import command
+from jaxgrow.cli.main import command
 
 
 sys.exit(command())

@@ -34,7 +34,7 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 @pytest.fixture(autouse=True)
 def few_programs():
     """Forget compiled programs before they are too many for a process."""
-    from jaxgrow.compilations import forget_compiled
+    from jaxgrow.runtime.compilations import forget_compiled
 
     yield
     forget_compiled(0.4)
@@ -48,8 +48,8 @@ def key():
 @pytest.fixture(scope="session")
 def tiny_polyp():
     """A polyp of three divisions in the built-in uterus."""
-    from jaxgrow.grow import grow
-    from jaxgrow.scene import Polyp, Scene
+    from jaxgrow.growth.grow import grow
+    from jaxgrow.scene.scene import Polyp, Scene
 
     return grow(Scene(lesion=Polyp(divisions=3)))
 
@@ -57,7 +57,7 @@ def tiny_polyp():
 @pytest.fixture(scope="session")
 def tiny_cluster():
     """A cluster of five particles that grew freely."""
-    from jaxgrow.grow import grow
-    from jaxgrow.scene import Myoma, Scene
+    from jaxgrow.growth.grow import grow
+    from jaxgrow.scene.scene import Myoma, Scene
 
     return grow(Scene(organ=None, lesion=Myoma(divisions=4)))

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxgrow as jg
-from jaxgrow.transfer import get_particles, put_particles
+from jaxgrow.transfer.device import get_particles, put_particles
 
 from .case import Case, Found
 from .examine import gyration, of_growth, of_relaxation, spacing

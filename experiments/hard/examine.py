@@ -10,7 +10,7 @@ import jaxgrow as jg
 from jaxgrow.mesh.intersection import intersecting_pairs
 from jaxgrow.mesh.quality import radius_ratio
 from jaxgrow.mesh.winding import particles_outside
-from jaxgrow.transfer import get, get_particles, get_surface
+from jaxgrow.transfer.device import get, get_particles, get_surface
 
 from .case import Found
 

@@ -10,7 +10,7 @@ import trimesh
 from jaxtyping import Float
 
 import jaxgrow as jg
-from jaxgrow.organ.implicit import project, round_cone, smooth_union
+from jaxgrow.organ.implicit_surface import project, round_cone, smooth_union
 from jaxgrow.organ.tessellation import tessellate
 
 

@@ -14,13 +14,18 @@ import numpy as np
 from jaxtyping import Float, Int
 
 import jaxgrow as jg
-from jaxgrow.collisions import CollisionFinder
+from jaxgrow.growth.collision_broad_phase import CollisionFinder
 from jaxgrow.mesh.fairing import fair
 from jaxgrow.mesh.intersection import intersecting_pairs
 from jaxgrow.mesh.quality import radius_ratio
 from jaxgrow.mesh.surface import Surface
 from jaxgrow.mesh.topology import build_topology
-from jaxgrow.transfer import get_particles, get_surface, put_membrane, put_particles
+from jaxgrow.transfer.device import (
+    get_particles,
+    get_surface,
+    put_membrane,
+    put_particles,
+)
 
 from .case import Case, Found
 from .clusters import SLOTS

@@ -20,12 +20,12 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxgrow as jg
-from jaxgrow import neighbors as nb
-from jaxgrow.equilibrium.listing import allocate_lists
+from jaxgrow.equilibrium.methods import Method
 from jaxgrow.equilibrium.problem import Problem
-from jaxgrow.equilibrium.stages import Method
-from jaxgrow.neighbors import SKIN
-from jaxgrow.transfer import get
+from jaxgrow.equilibrium.refresh_lists import allocate_lists
+from jaxgrow.neighbors import verlet_list as nb
+from jaxgrow.neighbors.verlet_list import SKIN
+from jaxgrow.transfer.device import get
 
 from .errors import errors_of
 from .fire import FIRE, SKIN as SKIN_OF_JAX_MD

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 import jaxgrow as jg
-from jaxgrow.processes import end_kept
+from jaxgrow.ensemble.worker_pool import end_kept
 
 from .measure import measure_in_turns, Options, Row
 

@@ -14,7 +14,7 @@ from collections import Counter
 import jax
 
 import jaxgrow as jg
-from jaxgrow.grow import grow  # not by name: what it stands for is imported here
+from jaxgrow.growth.grow import grow  # not by name: what it stands for is imported here
 
 
 HITS, MISSES = (f"/jax/compilation_cache/cache_{which}" for which in ("hits", "misses"))

@@ -7,13 +7,13 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxgrow import cells
-from jaxgrow.equilibrium.listing import allocate_lists
 from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.problem import Problem
-from jaxgrow.neighbors import find_near
+from jaxgrow.equilibrium.refresh_lists import allocate_lists
+from jaxgrow.neighbors import cell_list as cells
+from jaxgrow.neighbors.verlet_list import find_near
 from jaxgrow.state import Nodes
-from jaxgrow.transfer import get
+from jaxgrow.transfer.device import get
 
 from .errors import extended_forces, relative
 from .measure import measure_in_turns, Options, Row

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxgrow as jg
-from jaxgrow.division import Division
-from jaxgrow.transfer import get, get_particles
+from jaxgrow.growth.division import Division
+from jaxgrow.transfer.device import get, get_particles
 
 from .errors import errors_of, gyration
 from .fire import FIRE

@@ -17,10 +17,10 @@ import numpy as np
 import trimesh
 
 import jaxgrow as jg
-from jaxgrow.clock import Clock
-from jaxgrow.planting import plant
-from jaxgrow.step import first_step, iterate
-from jaxgrow.transfer import get
+from jaxgrow.growth.initial_state import plant
+from jaxgrow.growth.step import first_step, iterate
+from jaxgrow.runtime.timer import Clock
+from jaxgrow.transfer.device import get
 
 from .apart import apart
 from .measure import configure, measure_in_turns, Options, Row

@@ -13,8 +13,8 @@ from typing import Any, Literal, NamedTuple
 import jax
 import numba
 
-from jaxgrow.compile_cache import keep_programs
-from jaxgrow.report import versions
+from jaxgrow.io.report import versions
+from jaxgrow.runtime.compile_cache import keep_programs
 
 
 FEWEST = 3

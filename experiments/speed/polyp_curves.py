@@ -15,12 +15,12 @@ import equinox as eqx
 import numpy as np
 
 import jaxgrow as jg
-from jaxgrow.equilibrium.listing import allocate_lists
 from jaxgrow.equilibrium.problem import Problem
+from jaxgrow.equilibrium.refresh_lists import allocate_lists
 from jaxgrow.equilibrium.relax import Method
-from jaxgrow.report import named
-from jaxgrow.step import choose_divisions, divide
-from jaxgrow.transfer import get
+from jaxgrow.growth.step import choose_divisions, divide
+from jaxgrow.io.report import named
+from jaxgrow.transfer.device import get
 
 from .curves import Setting, TOLERANCES
 from .errors import REFERENCE, relative

@@ -7,10 +7,10 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxgrow as jg
-from jaxgrow.equilibrium.listing import allocate_lists
+from jaxgrow.equilibrium.methods import Method
 from jaxgrow.equilibrium.problem import Problem
-from jaxgrow.equilibrium.stages import Method
-from jaxgrow.transfer import get
+from jaxgrow.equilibrium.refresh_lists import allocate_lists
+from jaxgrow.transfer.device import get
 
 from .errors import errors_of, residual
 from .fire import FIRE

@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 import jaxgrow as jg
-from jaxgrow.equilibrium.listing import allocate_lists
 from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.problem import Problem
+from jaxgrow.equilibrium.refresh_lists import allocate_lists
 from jaxgrow.state import Nodes
-from jaxgrow.transfer import get, put_particles
+from jaxgrow.transfer.device import get, put_particles
 
 from .contact import add_spring_forces, contact_forces, ContactLaw
 from .lbfgs import relax_lbfgs

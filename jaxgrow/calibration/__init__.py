@@ -2,7 +2,7 @@
 
 from jaxgrow.calibration.fit import fit as fit
 from jaxgrow.calibration.outcome import Fit as Fit, Outcome as Outcome
-from jaxgrow.calibration.task import (
+from jaxgrow.calibration.spec import (
     Bounds as Bounds,
     FitError as FitError,
     load_task as load_task,

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxgrow.calibration.task import Bounds
+from jaxgrow.calibration.spec import Bounds
 
 
 PRIOR_VARIANCE = math.pi**2 / 3

@@ -13,16 +13,16 @@ import optax
 from jaxtyping import Float
 
 from jaxgrow.calibration.coordinates import Coordinates
+from jaxgrow.calibration.evaluations import Grower, Growths, LesionGrower, Measured
 from jaxgrow.calibration.folder import check_folder, FILE, write_folder
-from jaxgrow.calibration.growths import Grower, Growths, LesionGrower, Measured
 from jaxgrow.calibration.loss import Loss
 from jaxgrow.calibration.outcome import Fit, Outcome
 from jaxgrow.calibration.search import FURTHEST, search, Tried
-from jaxgrow.calibration.task import Bounds, FitError, make_task, Target, Task
+from jaxgrow.calibration.spec import Bounds, FitError, make_task, Target, Task
 from jaxgrow.calibration.uncertainty import achieved_targets, fitted_parameters
+from jaxgrow.io.report import FITTING, named, versions
 from jaxgrow.organ import Organ
-from jaxgrow.report import FITTING, named, versions
-from jaxgrow.scene import Scene
+from jaxgrow.scene.scene import Scene
 
 
 def fit(
@@ -67,7 +67,7 @@ def fit(
         progress: called after every evaluation.
         grown: called after every growth.
         grower: makes the growths, instead of `jaxgrow.grow`.
-        **effort: `jaxgrow.calibration.task.Effort`: seeds, evaluations, smoothing,
+        **effort: `jaxgrow.calibration.spec.Effort`: seeds, evaluations, smoothing,
             max_divisions.
 
     Returns:

@@ -16,14 +16,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from jaxgrow.calibration.chart import draw_fit
-from jaxgrow.calibration.growths import Growths
+from jaxgrow.calibration.evaluations import Growths
 from jaxgrow.calibration.outcome import Fit
-from jaxgrow.calibration.task import FitError
-from jaxgrow.export import write_atomically
+from jaxgrow.calibration.plot import draw_fit
+from jaxgrow.calibration.spec import FitError
+from jaxgrow.io.report import named
 from jaxgrow.organ import Organ
-from jaxgrow.report import named
-from jaxgrow.scene import Scene
+from jaxgrow.runtime.atomic_file import write_atomically
+from jaxgrow.scene.scene import Scene
 
 
 FILE = "fit.json"

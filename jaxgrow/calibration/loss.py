@@ -33,8 +33,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxgrow.calibration.coordinates import Coordinates
-from jaxgrow.calibration.growths import Growths, Values
-from jaxgrow.calibration.task import Task
+from jaxgrow.calibration.evaluations import Growths, Values
+from jaxgrow.calibration.spec import Task
 
 
 RIDGE = 0.03

@@ -4,12 +4,12 @@ import enum
 from dataclasses import dataclass
 from typing import Any
 
-from jaxgrow.calibration.growths import Measured
+from jaxgrow.calibration.evaluations import Measured
 from jaxgrow.calibration.search import End, Tried
-from jaxgrow.calibration.task import Task
+from jaxgrow.calibration.spec import Task
 from jaxgrow.calibration.uncertainty import Achieved, Fitted
-from jaxgrow.report import named, plain
-from jaxgrow.scene import Scene
+from jaxgrow.io.report import named, plain
+from jaxgrow.scene.scene import Scene
 
 
 class Outcome(enum.Enum):

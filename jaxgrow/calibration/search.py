@@ -30,7 +30,7 @@ import optax
 from jaxtyping import Float
 from scipy.optimize import minimize
 
-from jaxgrow.calibration.growths import Values
+from jaxgrow.calibration.evaluations import Values
 from jaxgrow.calibration.loss import Estimate, Evaluation, Loss
 
 

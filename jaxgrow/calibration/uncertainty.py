@@ -27,7 +27,7 @@ import numpy as np
 from jaxgrow.calibration.coordinates import Coordinates, PRIOR_VARIANCE
 from jaxgrow.calibration.loss import Estimate, Evaluation
 from jaxgrow.calibration.search import End, Search
-from jaxgrow.calibration.task import Task
+from jaxgrow.calibration.spec import Task
 
 
 AT_BOUND = 3.5

@@ -32,7 +32,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxgrow.types import Scalar
+from jaxgrow.runtime.types import Scalar
 
 
 CUTOFF = 1.5

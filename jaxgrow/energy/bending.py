@@ -31,8 +31,8 @@ from jaxtyping import Array, Bool, Int
 
 from jaxgrow.energy.term import MembraneTerm
 from jaxgrow.energy.vectors import cross, dot, minus, norm
+from jaxgrow.runtime.types import Columns
 from jaxgrow.state import Membrane
-from jaxgrow.types import Columns
 
 
 FLAT = 0.1

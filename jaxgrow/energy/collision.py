@@ -41,14 +41,14 @@ from jaxgrow.energy.distance import (
     segment_distance,
     split_corners,
 )
+from jaxgrow.energy.parameters import Parameters
 from jaxgrow.energy.smooth_minimum import smooth_minimum
 from jaxgrow.energy.term import values_of
 from jaxgrow.energy.vectors import cross, dot, minus
-from jaxgrow.numerics import farthest_two
-from jaxgrow.parameters import Parameters
+from jaxgrow.numerics.bitmask import list_true
+from jaxgrow.numerics.guards import farthest_two
+from jaxgrow.runtime.types import Columns, Scalar
 from jaxgrow.state import Membrane
-from jaxgrow.types import Columns, Scalar
-from jaxgrow.words import list_true
 
 
 LOCAL = 3.0

@@ -24,15 +24,15 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxgrow.energy.a2 import A2, CUTOFF
 from jaxgrow.energy.distance import triangle_distance
+from jaxgrow.energy.parameters import Parameters
+from jaxgrow.energy.points_in_spheres import count_inside, list_inside, Spheres
 from jaxgrow.energy.smooth_minimum import smooth_minimum
-from jaxgrow.energy.spheres import count_inside, list_inside, Spheres
 from jaxgrow.energy.term import values_of
 from jaxgrow.energy.vectors import split
-from jaxgrow.numerics import safe_norm, smallest_distance
-from jaxgrow.parameters import Parameters
+from jaxgrow.numerics.bitmask import list_true
+from jaxgrow.numerics.guards import safe_norm, smallest_distance
+from jaxgrow.runtime.types import Scalar
 from jaxgrow.state import Membrane, Particles
-from jaxgrow.types import Scalar
-from jaxgrow.words import list_true
 
 
 def barrier(

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
 
 from jaxgrow.energy.vectors import cross, dot, minus, norm, split, unit
-from jaxgrow.types import Columns
+from jaxgrow.runtime.types import Columns
 
 
 def split_corners(shapes: Float[Array, "*p k 3"]) -> tuple[Columns, ...]:

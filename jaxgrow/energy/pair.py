@@ -24,11 +24,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxgrow.energy.a2 import A2, CUTOFF
+from jaxgrow.energy.parameters import Parameters
 from jaxgrow.energy.term import values_of
-from jaxgrow.numerics import safe_divide, safe_root
-from jaxgrow.parameters import Parameters
+from jaxgrow.numerics.guards import safe_divide, safe_root
+from jaxgrow.runtime.types import Columns
 from jaxgrow.state import Particles, Species
-from jaxgrow.types import Columns
 
 
 class Pairs(eqx.Module):

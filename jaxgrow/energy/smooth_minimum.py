@@ -23,8 +23,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxgrow.numerics import smallest_distance
-from jaxgrow.types import Scalar
+from jaxgrow.numerics.guards import smallest_distance
+from jaxgrow.runtime.types import Scalar
 
 
 def smooth_minimum(

@@ -21,8 +21,8 @@ from jaxtyping import Array, Bool, Int
 
 from jaxgrow.energy.term import MembraneTerm
 from jaxgrow.energy.vectors import minus, norm
+from jaxgrow.runtime.types import Columns
 from jaxgrow.state import Membrane
-from jaxgrow.types import Columns
 
 
 class Springs(MembraneTerm):

@@ -24,9 +24,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxgrow.parameters import Parameters
+from jaxgrow.energy.parameters import Parameters
+from jaxgrow.runtime.types import Columns
 from jaxgrow.state import Membrane, Particles
-from jaxgrow.types import Columns
 
 
 class Elements(NamedTuple):

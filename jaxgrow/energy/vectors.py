@@ -8,8 +8,8 @@ energy of a single element is traced, and an array where many are evaluated at o
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxgrow.numerics import safe_root
-from jaxgrow.types import Columns
+from jaxgrow.numerics.guards import safe_root
+from jaxgrow.runtime.types import Columns
 
 
 def split(rows: Float[Array, "*p 3"]) -> Columns:

@@ -10,10 +10,10 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from jaxgrow.equilibrium.lists import Lists, Outgrown
 from jaxgrow.equilibrium.problem import Problem
-from jaxgrow.numerics import safe_norm
-from jaxgrow.results import Result
+from jaxgrow.numerics.guards import safe_norm
+from jaxgrow.runtime.results import Result
+from jaxgrow.runtime.types import Scalar
 from jaxgrow.state import Nodes
-from jaxgrow.types import Scalar
 
 
 @runtime_checkable

@@ -3,7 +3,7 @@
 import equinox as eqx
 from jaxtyping import Array, Bool, Float
 
-from jaxgrow.types import Scalar
+from jaxgrow.runtime.types import Scalar
 
 
 class Euler(eqx.Module):

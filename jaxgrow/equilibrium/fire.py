@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxgrow.types import Scalar
+from jaxgrow.runtime.types import Scalar
 
 
 class FIREMemory(eqx.Module):

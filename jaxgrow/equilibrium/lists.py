@@ -4,9 +4,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxgrow import neighbors as nb
 from jaxgrow.energy.collision import Collisions
 from jaxgrow.energy.contact import Contacts
+from jaxgrow.neighbors import verlet_list as nb
 from jaxgrow.state import Particles
 
 

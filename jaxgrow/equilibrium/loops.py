@@ -34,9 +34,9 @@ from jaxgrow.kernels.arguments import checked
 from jaxgrow.kernels.ffi import registered, target
 from jaxgrow.kernels.printer import UnprintableError
 from jaxgrow.kernels.roots import load
+from jaxgrow.runtime.types import Scalar
 from jaxgrow.state import Nodes, Species
-from jaxgrow.transfer import put
-from jaxgrow.types import Scalar
+from jaxgrow.transfer.device import put
 
 
 if TYPE_CHECKING:

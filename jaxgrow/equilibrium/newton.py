@@ -4,7 +4,7 @@ It converges quadratically down to rounding, where L-BFGS stalls. It is not chea
 from a residual of 1e-4 F(0) it takes about as many Hessian products as L-BFGS takes
 steps, and a product costs about two force evaluations. Far from an equilibrium the
 Hessian has negative curvature: this method then gives up, with the best positions it
-had (`jaxgrow.equilibrium.trust` goes on).
+had (`jaxgrow.equilibrium.trust_region` goes on).
 """
 
 import equinox as eqx
@@ -12,11 +12,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxgrow.equilibrium.hessian_solve import linearise, solve
 from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.problem import Problem
-from jaxgrow.equilibrium.response import linearise, solve
-from jaxgrow.numerics import safe_norm
-from jaxgrow.results import Result
+from jaxgrow.numerics.guards import safe_norm
+from jaxgrow.runtime.results import Result
 from jaxgrow.state import Nodes
 
 

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from jaxgrow import neighbors as nb
 from jaxgrow.energy.collision import (
     collision_clearances,
     collision_energy,
@@ -27,13 +26,14 @@ from jaxgrow.energy.contact import (
     reach,
 )
 from jaxgrow.energy.pair import pair_energy, pair_force
+from jaxgrow.energy.parameters import as_arrays, Parameters
 from jaxgrow.energy.term import energy_of_elements, MembraneTerm, Term
 from jaxgrow.energy.terms import MEMBRANE_TERMS
 from jaxgrow.equilibrium.lists import Lists, Outgrown
 from jaxgrow.equilibrium.loops import evaluate, Loops, wired
-from jaxgrow.parameters import as_arrays, Parameters
+from jaxgrow.neighbors import verlet_list as nb
+from jaxgrow.runtime.types import Scalar
 from jaxgrow.state import Membrane, Nodes, Particles, replaced
-from jaxgrow.types import Scalar
 
 
 CONTACT_SKIN = 0.15

@@ -7,18 +7,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxgrow.array_checks import accept_bodies, accept_vectors
-from jaxgrow.equilibrium.implicit import at_equilibrium, Equilibrium
-from jaxgrow.equilibrium.listing import (
-    allocate_lists,
-    CollisionLister,
-    fits,
-    prepared,
-)
+from jaxgrow.energy.parameters import Parameters
+from jaxgrow.equilibrium.active_set import is_local, may_pay, relax_locally
+from jaxgrow.equilibrium.implicit_diff import at_equilibrium, Equilibrium
 from jaxgrow.equilibrium.lists import Lists
-from jaxgrow.equilibrium.local import is_local, may_pay, relax_locally
-from jaxgrow.equilibrium.problem import ExtraTerms, LARGEST_STEP, Problem
-from jaxgrow.equilibrium.stages import (
+from jaxgrow.equilibrium.methods import (
     exact_tolerance,
     goal_of,
     Limits,
@@ -27,20 +20,27 @@ from jaxgrow.equilibrium.stages import (
     run_stage,
     stages_of,
 )
+from jaxgrow.equilibrium.problem import ExtraTerms, LARGEST_STEP, Problem
+from jaxgrow.equilibrium.refresh_lists import (
+    allocate_lists,
+    CollisionLister,
+    fits,
+    prepared,
+)
 from jaxgrow.equilibrium.staggered import stagger
 from jaxgrow.equilibrium.transformations import (
     check_transformations,
     is_differentiated,
     primal,
 )
-from jaxgrow.forks import refuse_forked
-from jaxgrow.numerics import check_precision
-from jaxgrow.parameters import Parameters
-from jaxgrow.results import Result
+from jaxgrow.neighbors.within_radius import may_coincide
+from jaxgrow.numerics.guards import check_precision
+from jaxgrow.runtime.forks import refuse_forked
+from jaxgrow.runtime.results import Result
+from jaxgrow.runtime.types import Given
 from jaxgrow.state import Membrane, Nodes, Particles
-from jaxgrow.transfer import get
-from jaxgrow.types import Given
-from jaxgrow.vicinity import may_coincide
+from jaxgrow.transfer.array_checks import accept_bodies, accept_vectors
+from jaxgrow.transfer.device import get
 
 
 class RelaxationStats(NamedTuple):
@@ -131,12 +131,12 @@ def relax(
 
     *Derivatives.* The equilibrium can be differentiated, in forward and reverse mode at
     the price of a linear solve a direction, with respect to parameters, rest lengths,
-    load, and the positions of what is held or pinned (`jaxgrow.equilibrium.implicit`):
-    by `jax.grad`, `jax.jvp`, `jax.vjp`, `jax.jacfwd` (a solve a parameter) and
-    `jax.jacrev` (a solve a result). The tolerance is then 1e-10 at most. Where free
-    nodes started from has no derivative. If the equilibrium was not reached, is not a
-    strict minimum, or its linear system could not be solved, the derivative is NaN;
-    `jaxgrow.linear_response` says which.
+    load, and the positions of what is held or pinned
+    (`jaxgrow.equilibrium.implicit_diff`): by `jax.grad`, `jax.jvp`, `jax.vjp`,
+    `jax.jacfwd` (a solve a parameter) and `jax.jacrev` (a solve a result). The
+    tolerance is then 1e-10 at most. Where free nodes started from has no derivative. If
+    the equilibrium was not reached, is not a strict minimum, or its linear system could
+    not be solved, the derivative is NaN; `jaxgrow.linear_response` says which.
 
     No node moves farther in one step than 0.4 of its distance to what it must not
     cross, so particles stay on their side of the membrane throughout.
@@ -162,8 +162,8 @@ def relax(
         load: external force on every vertex, padding included, (m, 3), in F(0).
         lists: of an earlier call, to spare their allocation.
         collide: lists what the membrane may collide with (see
-            `jaxgrow.collisions.CollisionFinder`); None if it can collide with nothing,
-            and then no collision term is compiled.
+            `jaxgrow.growth.collision_broad_phase.CollisionFinder`); None if it can
+            collide with nothing, and then no collision term is compiled.
         observe: called with the positions after every single step, which makes the
             relaxation several times slower; of "staggered" after every turn, of
             "newton" at the end.

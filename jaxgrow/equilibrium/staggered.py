@@ -22,14 +22,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxgrow.equilibrium.lbfgs import LBFGS
-from jaxgrow.equilibrium.listing import CollisionLister
 from jaxgrow.equilibrium.lists import Lists
+from jaxgrow.equilibrium.methods import Found, Limits, run_stage, Stage
 from jaxgrow.equilibrium.problem import Problem
-from jaxgrow.equilibrium.stages import Found, Limits, run_stage, Stage
-from jaxgrow.numerics import safe_norm
-from jaxgrow.results import Result
+from jaxgrow.equilibrium.refresh_lists import CollisionLister
+from jaxgrow.numerics.guards import safe_norm
+from jaxgrow.runtime.results import Result
+from jaxgrow.runtime.types import Scalar
 from jaxgrow.state import Nodes
-from jaxgrow.types import Scalar
 
 
 @eqx.filter_jit

@@ -1,4 +1,4 @@
-"""The loop over cells of space of `jaxgrow.cells.relist`."""
+"""The loop over cells of space of `jaxgrow.neighbors.cell_list.relist`."""
 
 import math
 from typing import no_type_check

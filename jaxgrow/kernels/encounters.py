@@ -1,4 +1,4 @@
-"""The loops over a sheet of `jaxgrow.mesh.sheet` that find what of it is near.
+"""The loops over a sheet of `jaxgrow.mesh.collision_mesh` that find what of it is near.
 
 Candidates are those whose boxes are near: a sweep along the axis on which the sheet is
 longest finds them.

@@ -20,7 +20,7 @@ import jax
 from jaxgrow.kernels import refusal
 from jaxgrow.kernels.arguments import Argument, checked, checked_shapes
 from jaxgrow.kernels.refusals import Refusal, said
-from jaxgrow.slow_path import UnvalidatedVersionWarning, warn_once
+from jaxgrow.runtime.slow_path import UnvalidatedVersionWarning, warn_once
 
 
 NEWEST_VALIDATED_JAXLIB = "0.10.1"

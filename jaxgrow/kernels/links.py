@@ -1,6 +1,7 @@
 """Listing single particles anew in lists that all others keep.
 
-The loops of `jaxgrow.relisting`, for the near and for the wide neighbours.
+The loops of `jaxgrow.neighbors.update_particle`, for the near and for the wide
+neighbours.
 """
 
 from typing import no_type_check

@@ -7,9 +7,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, no_type_check
 
-from jaxgrow.compile_cache import may_be_written, private_folder
 from jaxgrow.kernels.refusals import Refusal, said
-from jaxgrow.slow_path import warn_once
+from jaxgrow.runtime.compile_cache import may_be_written, private_folder
+from jaxgrow.runtime.slow_path import warn_once
 
 
 FOLDER = "NUMBA_CACHE_DIR"

@@ -1,4 +1,4 @@
-"""The loop over wide lists of `jaxgrow.neighbors` that finds who is near."""
+"""Find who is near in the wide lists of `jaxgrow.neighbors.verlet_list`."""
 
 from typing import no_type_check
 

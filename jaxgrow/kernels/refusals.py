@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from jaxgrow.slow_path import warn_once
+from jaxgrow.runtime.slow_path import warn_once
 
 
 class Refusal(NamedTuple):

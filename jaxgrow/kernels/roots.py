@@ -26,9 +26,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxgrow.compile_cache import may_be_written, private_folder
 from jaxgrow.kernels.arguments import Argument
 from jaxgrow.kernels.printer import print_function
+from jaxgrow.runtime.compile_cache import may_be_written, private_folder
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from jaxgrow.kernels.regrouped import regrouped
 
 
 _LEAST = 1e-30
-"""Distance that stands for 0, see `jaxgrow.numerics.smallest_distance`."""
+"""Distance that stands for 0, see `jaxgrow.numerics.guards.smallest_distance`."""
 
 _LARGEST_WHOLE = 64.0
 """Exponent up to which powers are made by products, if it is a whole one."""

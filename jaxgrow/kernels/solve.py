@@ -1,4 +1,4 @@
-"""The linear response of `jaxgrow.equilibrium.response` as one loop, called by XLA.
+"""The linear response of `jaxgrow.equilibrium.hessian_solve` as one loop.
 
 Conjugate gradients on Hessian products of the terms' roots (see
 `jaxgrow.kernels.roots`). Where something is pinned or held, as in every patch,
@@ -24,7 +24,7 @@ from jaxgrow.kernels import frames
 from jaxgrow.kernels.arguments import Argument, codes_of
 from jaxgrow.kernels.regrouped import regrouped
 from jaxgrow.kernels.tables import make_tables, run
-from jaxgrow.results import Result
+from jaxgrow.runtime.results import Result
 
 
 CONVERGED, SINGULAR = Result.CONVERGED.code, Result.SINGULAR.code

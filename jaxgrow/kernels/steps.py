@@ -28,7 +28,7 @@ from jaxgrow.kernels.lbfgs import dot, learn, propose
 from jaxgrow.kernels.lists import relist
 from jaxgrow.kernels.regrouped import regrouped
 from jaxgrow.kernels.tables import make_tables, run
-from jaxgrow.results import Result
+from jaxgrow.runtime.results import Result
 
 
 CONVERGED, STEP_LIMIT = Result.CONVERGED.code, Result.STEP_LIMIT.code

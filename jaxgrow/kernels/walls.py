@@ -1,4 +1,4 @@
-"""The loop over the faces of `jaxgrow.mesh.sheet.Walls` that finds which are near."""
+"""Find which faces of `jaxgrow.mesh.collision_mesh.Walls` are near."""
 
 import math
 from typing import no_type_check

@@ -13,9 +13,10 @@ What the paper leaves open, and our choice:
   one are done together; a few rounds.
 - *Refused* are: an edge on the rim, or between two rim or kept vertices; ends with
   other than two common neighbours (the link condition: the result would not be a
-  manifold); a change of shape; harm to a particle (see `jaxgrow.mesh.guard`); a
-  surface that crosses itself or a wall (see `jaxgrow.mesh.crossing`). Of two collapses
-  of a round that would cross each other, the one of the shorter edge is done.
+  manifold); a change of shape; harm to a particle (see `jaxgrow.mesh.particle_guard`);
+  a surface that crosses itself or a wall (see `jaxgrow.mesh.intersection_guard`). Of
+  two collapses of a round that would cross each other, the one of the shorter edge is
+  done.
 - *What changes the shape*: a triangle that turns by more than ``max_angle`` (if it was
   a sliver, whose normal says nothing: away from the mean normal of the star); a radius
   ratio below `FAIR_SHAPE`, unless the star had one as bad; a triangle over
@@ -30,8 +31,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxgrow.mesh.crossing import Crossing
-from jaxgrow.mesh.guard import Guard
+from jaxgrow.mesh.collapse_ends import collapsing_stars, Ends, ends, Stars
+from jaxgrow.mesh.intersection_guard import Crossing
+from jaxgrow.mesh.particle_guard import Guard
 from jaxgrow.mesh.quality import (
     area_vectors,
     areas,
@@ -40,7 +42,6 @@ from jaxgrow.mesh.quality import (
     side_lengths,
     unit,
 )
-from jaxgrow.mesh.star import collapsing_stars, Ends, ends, Stars
 from jaxgrow.mesh.surface import average_parents, Remeshing, Surface
 from jaxgrow.mesh.topology import (
     build_topology,

@@ -24,8 +24,9 @@ The paper leaves all of this open. Our choice:
 - *Refused* are also: rim edges; moving or removing the rim, fixed vertices or the
   source; a swept volume over that of a prism over the largest triangle, ``SWEEP`` of
   its side high; a triangle or an edge over the bounds of fairing, unless there was one
-  as large; what harms a particle (see `jaxgrow.mesh.guard`), however bad the pleat; and
-  what makes the surface cross itself or a wall (see `jaxgrow.mesh.crossing`).
+  as large; what harms a particle (see `jaxgrow.mesh.particle_guard`), however bad the
+  pleat; and what makes the surface cross itself or a wall (see
+  `jaxgrow.mesh.intersection_guard`).
 """
 
 from __future__ import annotations
@@ -37,10 +38,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxgrow.mesh.collapse import collapse_edges, common_neighbours
-from jaxgrow.mesh.crossing import Crossing
-from jaxgrow.mesh.guard import Guard, Patches
+from jaxgrow.mesh.collapse_ends import collapsing_stars, Ends
+from jaxgrow.mesh.intersection_guard import Crossing
+from jaxgrow.mesh.particle_guard import Guard, Patches
 from jaxgrow.mesh.quality import area_vectors, lengths, radius_ratio, side_lengths, unit
-from jaxgrow.mesh.star import collapsing_stars, Ends
 from jaxgrow.mesh.surface import Remeshing, Surface
 from jaxgrow.mesh.topology import build_topology, group, Topology
 

@@ -11,9 +11,9 @@ What the paper leaves open, and our choice:
 - *Refused* are rim edges; an edge that exists already, on the surface or on a wall (the
   result would not be a manifold); an end that would be left with fewer than three
   edges; a flip that changes the shape; one that harms a particle (see
-  `jaxgrow.mesh.guard`); and one that makes the surface cross itself or a wall (see
-  `jaxgrow.mesh.crossing`). Of two flips of a round that would cross each other, the
-  better one is done.
+  `jaxgrow.mesh.particle_guard`); and one that makes the surface cross itself or a wall
+  (see `jaxgrow.mesh.intersection_guard`). Of two flips of a round that would cross each
+  other, the better one is done.
 - *What changes the shape*: a dihedral turn of more than ``max_angle`` between the old
   triangles, unless one of them is a cap so flat that the surface moves by less than
   ``FLAT`` of the edge (its normal says nothing then); a turn of more than ``max_angle``
@@ -27,8 +27,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxgrow.mesh.crossing import Crossing
-from jaxgrow.mesh.guard import Guard, Patches
+from jaxgrow.mesh.intersection_guard import Crossing
+from jaxgrow.mesh.particle_guard import Guard, Patches
 from jaxgrow.mesh.quality import area_vectors, lengths, radius_ratio, unit
 from jaxgrow.mesh.surface import Remeshing, Surface
 from jaxgrow.mesh.topology import build_topology, greedy_independent, Topology

@@ -22,7 +22,7 @@ H is positive for a ball seen from the lumen, where moving outwards adds area.
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxgrow.numerics import safe_divide, safe_norm
+from jaxgrow.numerics.guards import safe_divide, safe_norm
 
 
 def mean_curvature(

@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 
 from jaxgrow.energy.distance import closest_weights, split_corners
 from jaxgrow.energy.vectors import split
-from jaxgrow.numerics import safe_norm
+from jaxgrow.numerics.guards import safe_norm
 from jaxgrow.state import FormerSurface
 
 

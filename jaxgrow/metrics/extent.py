@@ -5,9 +5,9 @@ from jaxtyping import Array, Float
 
 from jaxgrow.metrics.elevation import RAISED, raisedness
 from jaxgrow.metrics.extremes import largest, temperature
-from jaxgrow.numerics import safe_divide, safe_norm
+from jaxgrow.numerics.guards import safe_divide, safe_norm
+from jaxgrow.runtime.types import Scalar
 from jaxgrow.state import Membrane
-from jaxgrow.types import Scalar
 
 
 DIRECTIONS = 32

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxgrow.types import Scalar
+from jaxgrow.runtime.types import Scalar
 
 
 def temperature(bound: Scalar | None, count: Scalar) -> Float[Array, ""] | None:

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from jaxgrow.metrics.elevation import raisedness
 from jaxgrow.metrics.extremes import largest, smallest, temperature
-from jaxgrow.types import Scalar
+from jaxgrow.runtime.types import Scalar
 
 
 LEVELS = 48

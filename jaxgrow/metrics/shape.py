@@ -34,7 +34,7 @@ from jaxgrow.metrics.sections import (
     section_heights,
     share_above,
 )
-from jaxgrow.numerics import check_precision, safe_divide, safe_norm
+from jaxgrow.numerics.guards import check_precision, safe_divide, safe_norm
 from jaxgrow.state import FormerSurface, Membrane, Particles, Species, State
 
 

@@ -1,11 +1,6 @@
 """Organs on the host: built in or read, and the patch a lesion grows on."""
 
 from jaxgrow.organ.enlarge import enlarge as enlarge, Enlargement as Enlargement
-from jaxgrow.organ.lining import (
-    extend_lining as extend_lining,
-    line_patch as line_patch,
-    Lining as Lining,
-)
 from jaxgrow.organ.loading import load_organ as load_organ
 from jaxgrow.organ.merge import merge as merge, Merged as Merged
 from jaxgrow.organ.organ import (
@@ -18,6 +13,11 @@ from jaxgrow.organ.patch import (
     cut_patch as cut_patch,
     Patch as Patch,
     widen_patch as widen_patch,
+)
+from jaxgrow.organ.patch_surface import (
+    extend_lining as extend_lining,
+    line_patch as line_patch,
+    Lining as Lining,
 )
 from jaxgrow.organ.tissue import fill_tissue as fill_tissue, Tissue as Tissue
 from jaxgrow.organ.uterus import uterus as uterus

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxgrow.organ.layer import Addition, Layer
-from jaxgrow.organ.lining import extend_lining, Lining
+from jaxgrow.organ.layer_points import Addition, Layer
 from jaxgrow.organ.merge import merge
 from jaxgrow.organ.organ import Organ, OrganError
 from jaxgrow.organ.patch import Patch, widen_patch
-from jaxgrow.organ.sides import Sides
+from jaxgrow.organ.patch_surface import extend_lining, Lining
+from jaxgrow.organ.signed_distance import Sides
 from jaxgrow.organ.tissue import extend_tissue, Tissue
 
 

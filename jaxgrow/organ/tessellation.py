@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import Delaunay, KDTree
 
-from jaxgrow.organ.implicit import Field, project
+from jaxgrow.organ.implicit_surface import Field, project
 
 
 SEED_DENSITY = 12

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
-from jaxgrow.organ.layer import Addition, Layer
+from jaxgrow.organ.layer_points import Addition, Layer
 from jaxgrow.organ.organ import Organ, OrganError
 from jaxgrow.organ.patch import Patch
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxgrow.organ.implicit import project, round_cone, smooth_union
+from jaxgrow.organ.implicit_surface import project, round_cone, smooth_union
 from jaxgrow.organ.organ import Organ, OrganError
 from jaxgrow.organ.tessellation import tessellate
 

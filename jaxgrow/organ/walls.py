@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from jaxgrow.mesh.collision_mesh import Walls
 from jaxgrow.mesh.quality import lengths
-from jaxgrow.mesh.sheet import Walls
 from jaxgrow.organ.organ import Organ
 from jaxgrow.organ.patch import Patch
 

@@ -4,5 +4,5 @@ Host code in plain numpy. Rays are cast with embreex where it is installed and b
 z-buffer where it is not; nothing heavy is imported before a picture is asked for.
 """
 
-from .figure import render_growth as render_growth
-from .organ import render_surface as render_surface
+from jaxgrow.render.figure import render_growth as render_growth
+from jaxgrow.render.organ import render_surface as render_surface

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import UInt8
 
-from ..export import write_atomically
+from jaxgrow.runtime.atomic_file import write_atomically
 
 
 INK = (40, 40, 40)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
-from .camera import Camera
-from .scene import Balls, Surface
-from .zbuffer import samples_of_boxes
+from jaxgrow.render.camera import Camera
+from jaxgrow.render.scene import Balls, Surface
+from jaxgrow.render.zbuffer import samples_of_boxes
 
 
 def cut_line(

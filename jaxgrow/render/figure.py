@@ -7,11 +7,11 @@ import os
 import numpy as np
 from jaxtyping import Bool, Float, Integer
 
-from . import annotate, shading
-from .checks import check_frame, check_mesh, check_particles, check_size
-from .panels import inner_panel, surface_panel
-from .scene import Balls, make_surface, Surface
-from .subject import make_subject, Subject
+from jaxgrow.render import annotate, shading
+from jaxgrow.render.checks import check_frame, check_mesh, check_particles, check_size
+from jaxgrow.render.panels import inner_panel, surface_panel
+from jaxgrow.render.scene import Balls, make_surface, Surface
+from jaxgrow.render.subject import make_subject, Subject
 
 
 _SPECIES_NAMES = ("tissue", "tumour")

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
-from .view import chunks, EVERY, View
+from jaxgrow.render.view import chunks, EVERY, View
 
 
 _BLOCK = 4

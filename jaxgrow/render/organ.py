@@ -7,12 +7,12 @@ import os
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Integer, UInt8
 
-from . import annotate, shading
-from .camera import Camera, look
-from .checks import check_mesh, check_size
-from .panels import lit
-from .scene import Balls, make_surface, Surface
-from .view import EVERY, see
+from jaxgrow.render import annotate, shading
+from jaxgrow.render.camera import Camera, look
+from jaxgrow.render.checks import check_mesh, check_size
+from jaxgrow.render.panels import lit
+from jaxgrow.render.scene import Balls, make_surface, Surface
+from jaxgrow.render.view import EVERY, see
 
 
 _VIEWS = {

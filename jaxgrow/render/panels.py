@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Float32, Int, UInt8
 
-from . import shading
-from .camera import Camera
-from .cut import behind_plane, cut_faces_of_balls, cut_line, stroke
-from .occlusion import occlusion
-from .scene import Balls, Surface
-from .subject import cut_camera, oblique_camera, open_surface, Subject
-from .view import EVERY, see, View
+from jaxgrow.render import shading
+from jaxgrow.render.camera import Camera
+from jaxgrow.render.cut import behind_plane, cut_faces_of_balls, cut_line, stroke
+from jaxgrow.render.occlusion import occlusion
+from jaxgrow.render.scene import Balls, Surface
+from jaxgrow.render.subject import cut_camera, oblique_camera, open_surface, Subject
+from jaxgrow.render.view import EVERY, see, View
 
 
 # Width of the mesh's edges in samples: one pixel.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int, Integer
 
-from .camera import Camera, unit
+from jaxgrow.render.camera import Camera, unit
 
 
 # Balls that are drawn finely, the nearest ones; the others are mostly hidden.

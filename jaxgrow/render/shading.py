@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Float32, Int, UInt8
 
-from .camera import Camera
-from .scene import Balls, Surface
-from .view import chunks, EVERY, interpolate, View
+from jaxgrow.render.camera import Camera
+from jaxgrow.render.scene import Balls, Surface
+from jaxgrow.render.view import chunks, EVERY, interpolate, View
 
 
 MUCOSA = (233, 168, 152)

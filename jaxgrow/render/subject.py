@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from .camera import Camera, look, perpendicular, unit
-from .scene import Balls, Surface
-from .view import see
+from jaxgrow.render.camera import Camera, look, perpendicular, unit
+from jaxgrow.render.scene import Balls, Surface
+from jaxgrow.render.view import see
 
 
 _ELEVATION = np.deg2rad(32.0)

@@ -15,8 +15,8 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
-from .camera import Camera
-from .zbuffer import nearest_fragments, rasterise
+from jaxgrow.render.camera import Camera
+from jaxgrow.render.zbuffer import nearest_fragments, rasterise
 
 
 @dataclass(frozen=True)

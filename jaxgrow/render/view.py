@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32, Int
 
-from .camera import Camera, unit
-from .scene import ball_triangles, Balls, Surface
-from .trace import Hits, make_tracer, no_hits, Tracer
+from jaxgrow.render.camera import Camera, unit
+from jaxgrow.render.scene import ball_triangles, Balls, Surface
+from jaxgrow.render.trace import Hits, make_tracer, no_hits, Tracer
 
 
 # Samples along a pixel's side.

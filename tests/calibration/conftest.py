@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from jaxgrow.calibration.growths import Measured
+from jaxgrow.calibration.evaluations import Measured
 
 
 class Formula:

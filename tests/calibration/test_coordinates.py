@@ -5,7 +5,7 @@ import numpy as np
 from hypothesis import given, strategies as st
 
 from jaxgrow.calibration.coordinates import Coordinates, PRIOR_VARIANCE
-from jaxgrow.calibration.task import Bounds
+from jaxgrow.calibration.spec import Bounds
 
 
 BOUNDS = [Bounds(low=0.005, high=0.5), Bounds(low=0, high=2), Bounds(low=-1, high=3)]

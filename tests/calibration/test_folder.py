@@ -9,10 +9,10 @@ from PIL import Image
 
 from jaxgrow.calibration import fit
 from jaxgrow.calibration.folder import scene_toml
-from jaxgrow.calibration.task import FitError
+from jaxgrow.calibration.spec import FitError
+from jaxgrow.energy.parameters import Parameters
 from jaxgrow.organ.uterus import uterus
-from jaxgrow.parameters import Parameters
-from jaxgrow.scene import load_scene, Myoma, Polyp, Scene, Surroundings
+from jaxgrow.scene.scene import load_scene, Myoma, Polyp, Scene, Surroundings
 
 
 BOUNDS = {"spring_stiffness": (0.004, 0.4)}

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from jaxgrow.calibration.coordinates import Coordinates
-from jaxgrow.calibration.growths import Growths, Measured
+from jaxgrow.calibration.evaluations import Growths, Measured
 from jaxgrow.calibration.loss import Loss, RIDGE
-from jaxgrow.calibration.task import make_task
+from jaxgrow.calibration.spec import make_task
 
 
 TARGETS = {"height_mm": (2.0, 0.5), "width_mm": (1.0, 0.25)}

@@ -9,8 +9,8 @@ import pytest
 
 from jaxgrow.calibration import fit
 from jaxgrow.calibration.search import End, REFUSALS
-from jaxgrow.calibration.task import Bounds
-from jaxgrow.scene import Scene
+from jaxgrow.calibration.spec import Bounds
+from jaxgrow.scene.scene import Scene
 
 
 SCENE = Scene()

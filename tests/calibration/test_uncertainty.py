@@ -7,9 +7,9 @@ import pytest
 
 from jaxgrow.calibration import fit
 from jaxgrow.calibration.coordinates import PRIOR_VARIANCE
-from jaxgrow.calibration.growths import Measured
-from jaxgrow.calibration.task import Bounds
-from jaxgrow.scene import Scene
+from jaxgrow.calibration.evaluations import Measured
+from jaxgrow.calibration.spec import Bounds
+from jaxgrow.scene.scene import Scene
 
 
 class Lines:

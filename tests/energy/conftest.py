@@ -8,15 +8,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrow.constructors import make_membrane, make_particles
 from jaxgrow.energy.bending import Bending
 from jaxgrow.energy.collision import collision_energy, Collisions
 from jaxgrow.energy.contact import contact_energy, list_contacts, reach
 from jaxgrow.energy.pair import pair_energy
+from jaxgrow.energy.parameters import Parameters
 from jaxgrow.energy.springs import Springs
 from jaxgrow.energy.term import energy_of_elements
-from jaxgrow.parameters import Parameters
 from jaxgrow.state import Membrane, Nodes, Particles
+from jaxgrow.transfer.constructors import make_membrane, make_particles
 
 
 PARAMETERS = Parameters(

@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrow.constructors import make_membrane
 from jaxgrow.energy.bending import Bending, hinge_angle
+from jaxgrow.energy.parameters import Parameters
 from jaxgrow.energy.term import energy_of_elements
-from jaxgrow.parameters import Parameters
+from jaxgrow.transfer.constructors import make_membrane
 
 from .conftest import grid
 

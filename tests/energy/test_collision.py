@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrow.constructors import make_membrane
 from jaxgrow.energy.a2 import A2
 from jaxgrow.energy.collision import (
     collision_clearances,
@@ -16,8 +15,9 @@ from jaxgrow.energy.collision import (
     PARALLEL,
 )
 from jaxgrow.energy.distance import segment_distance
+from jaxgrow.energy.parameters import Parameters
 from jaxgrow.energy.vectors import split
-from jaxgrow.parameters import Parameters
+from jaxgrow.transfer.constructors import make_membrane
 
 
 PARAMETERS = Parameters(collision_range=0.5)

@@ -6,8 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrow.constructors import make_membrane, make_particles
-from jaxgrow.energy import spheres
+from jaxgrow.energy import points_in_spheres as spheres
 from jaxgrow.energy.a2 import A2, CUTOFF
 from jaxgrow.energy.contact import (
     barrier,
@@ -22,9 +21,10 @@ from jaxgrow.energy.contact import (
     smooth_distance,
 )
 from jaxgrow.energy.distance import point_triangle_distance
+from jaxgrow.energy.parameters import Parameters
 from jaxgrow.mesh.proximity import closest_on_triangles
-from jaxgrow.parameters import Parameters
 from jaxgrow.state import Membrane, Particles
+from jaxgrow.transfer.constructors import make_membrane, make_particles
 
 
 FACES = 128  # capacity of all surfaces here, so that they share one program

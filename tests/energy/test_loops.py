@@ -13,7 +13,7 @@ from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.loops import blocks, with_loops
 from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.products import hessian_product
-from jaxgrow.neighbors import Neighbors
+from jaxgrow.neighbors.verlet_list import Neighbors
 
 from .conftest import all_pairs, CONTACTS, COUNT, dense_list, PARAMETERS
 from .test_conformance import coincidences, padded

@@ -9,7 +9,7 @@ from jax.test_util import check_grads
 
 from jaxgrow.energy.a2 import A2
 from jaxgrow.energy.pair import pair_energy, pair_force
-from jaxgrow.parameters import Parameters
+from jaxgrow.energy.parameters import Parameters
 from jaxgrow.state import Particles
 
 

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxgrow.energy.parameters import Parameters
 from jaxgrow.energy.springs import Springs
 from jaxgrow.energy.term import energy_of_elements
-from jaxgrow.parameters import Parameters
 
 
 def total(membrane, parameters):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from jaxgrow.mesh.surface import Surface
-from jaxgrow.transfer import put_membrane, put_particles
+from jaxgrow.transfer.device import put_membrane, put_particles
 
 
 SLOTS = 64

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxgrow.mesh.surface import Surface
-from jaxgrow.transfer import put_membrane
+from jaxgrow.transfer.device import put_membrane
 
 
 def springs(vertices, edges, rest_length, pinned):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.optimize import root_scalar
 
+from jaxgrow.energy.parameters import Parameters
 from jaxgrow.equilibrium.relax import relax
-from jaxgrow.parameters import Parameters
 
 from .springs import springs
 

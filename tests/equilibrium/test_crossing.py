@@ -5,13 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxgrow.energy.parameters import Parameters
 from jaxgrow.equilibrium.descent import descend
 from jaxgrow.equilibrium.fire import FIRE
 from jaxgrow.equilibrium.lbfgs import LBFGS
-from jaxgrow.equilibrium.listing import allocate_lists
 from jaxgrow.equilibrium.problem import Problem
-from jaxgrow.parameters import Parameters
-from jaxgrow.results import Result
+from jaxgrow.equilibrium.refresh_lists import allocate_lists
+from jaxgrow.runtime.results import Result
 
 
 compiled = eqx.filter_jit(descend)

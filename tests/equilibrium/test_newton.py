@@ -6,13 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxgrow.energy.parameters import Parameters
 from jaxgrow.equilibrium import newton
-from jaxgrow.equilibrium.listing import allocate_lists
 from jaxgrow.equilibrium.newton import polish
 from jaxgrow.equilibrium.problem import Problem
+from jaxgrow.equilibrium.refresh_lists import allocate_lists
 from jaxgrow.equilibrium.relax import relax
-from jaxgrow.parameters import Parameters
-from jaxgrow.results import Result
+from jaxgrow.runtime.results import Result
 
 
 PARAMETERS = jax.tree.map(lambda v: jnp.asarray(v, float), Parameters())

@@ -13,12 +13,12 @@ from scipy.spatial.distance import pdist
 
 from jaxgrow.energy.a2 import A2
 from jaxgrow.energy.pair import pair_force
-from jaxgrow.equilibrium.listing import allocate_lists, stale
+from jaxgrow.energy.parameters import Parameters
 from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.problem import Problem
+from jaxgrow.equilibrium.refresh_lists import allocate_lists, stale
 from jaxgrow.equilibrium.relax import relax
-from jaxgrow.parameters import Parameters
-from jaxgrow.results import Result
+from jaxgrow.runtime.results import Result
 
 
 def everybody(count):

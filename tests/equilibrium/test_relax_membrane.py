@@ -6,9 +6,9 @@ import pytest
 from scipy.sparse import lil_array
 from scipy.sparse.linalg import spsolve
 
+from jaxgrow.energy.parameters import Parameters
 from jaxgrow.equilibrium.relax import relax
-from jaxgrow.parameters import Parameters
-from jaxgrow.results import Result
+from jaxgrow.runtime.results import Result
 
 from .springs import springs
 

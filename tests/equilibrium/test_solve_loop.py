@@ -6,13 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrow.equilibrium import response
+from jaxgrow.energy.parameters import Parameters
+from jaxgrow.equilibrium import hessian_solve as response
+from jaxgrow.equilibrium.hessian_solve import linearise, probe, solve
 from jaxgrow.equilibrium.loops import with_loops
 from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.relax import relax
-from jaxgrow.equilibrium.response import linearise, probe, solve
-from jaxgrow.parameters import Parameters
-from jaxgrow.results import Result
+from jaxgrow.runtime.results import Result
 
 
 @pytest.fixture(scope="module", params=["bed", "drop", "sheet"])

@@ -8,13 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrow.equilibrium.compliance import linear_response
-from jaxgrow.equilibrium.listing import allocate_lists
+from jaxgrow.energy.parameters import Parameters
+from jaxgrow.equilibrium.linear_response import linear_response
 from jaxgrow.equilibrium.problem import Problem
+from jaxgrow.equilibrium.refresh_lists import allocate_lists
 from jaxgrow.equilibrium.relax import relax
 from jaxgrow.mesh.proximity import closest_on_triangles
-from jaxgrow.parameters import Parameters
-from jaxgrow.results import Result
+from jaxgrow.runtime.results import Result
 from jaxgrow.state import Nodes
 
 

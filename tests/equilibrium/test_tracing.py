@@ -5,11 +5,11 @@ import jax
 import jax.numpy as jnp
 import pytest
 
+from jaxgrow.energy.parameters import Parameters
 from jaxgrow.equilibrium.descent import descend
 from jaxgrow.equilibrium.lbfgs import LBFGS
-from jaxgrow.equilibrium.listing import allocate_lists
 from jaxgrow.equilibrium.problem import Problem
-from jaxgrow.parameters import Parameters
+from jaxgrow.equilibrium.refresh_lists import allocate_lists
 
 
 def equations(jaxpr):

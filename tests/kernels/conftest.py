@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrow.constructors import make_membrane
+from jaxgrow.transfer.constructors import make_membrane
 
 
 SIDE = 6

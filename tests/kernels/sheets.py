@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxgrow.mesh.sheet import Sheet
+from jaxgrow.mesh.collision_mesh import Sheet
 
 
 def rough(count, rng, size=1.0):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from jaxgrow.adaptation import _alone
 from jaxgrow.energy.a2 import CUTOFF
+from jaxgrow.growth.adaptation import _alone
 
 from ..brute_force import alone
 

@@ -6,22 +6,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrow.collisions import CollisionFinder
 from jaxgrow.energy.contact import contact_distances, reach
+from jaxgrow.energy.parameters import Parameters
 from jaxgrow.equilibrium.descent import descend
 from jaxgrow.equilibrium.lbfgs import LBFGS
-from jaxgrow.equilibrium.listing import allocate_lists, prepared
-from jaxgrow.equilibrium.looped import descend_by_loop
-from jaxgrow.equilibrium.looped_lists import is_looped
 from jaxgrow.equilibrium.loops import with_loops
+from jaxgrow.equilibrium.native_descent import descend_by_loop
+from jaxgrow.equilibrium.native_lists import is_looped
 from jaxgrow.equilibrium.problem import Problem
+from jaxgrow.equilibrium.refresh_lists import allocate_lists, prepared
 from jaxgrow.equilibrium.relax import relax
+from jaxgrow.growth.collision_broad_phase import CollisionFinder
 from jaxgrow.kernels.refusals import Refusal
 from jaxgrow.mesh.surface import Surface
-from jaxgrow.parameters import Parameters
-from jaxgrow.results import Result
+from jaxgrow.runtime.results import Result
 from jaxgrow.state import Nodes, Particles
-from jaxgrow.transfer import parked, put_membrane
+from jaxgrow.transfer.device import parked, put_membrane
 
 
 SLOTS = 160
@@ -310,7 +310,7 @@ def test_loops_are_used_on_processors_in_64_bits_only(monkeypatch):
         lambda x: x.astype(jnp.float32) if x.dtype == jnp.float64 else x, problem
     )
     assert not is_looped(single)
-    lists = "jaxgrow.equilibrium.looped_lists"
+    lists = "jaxgrow.equilibrium.native_lists"
     monkeypatch.setattr(f"{lists}.registered", lambda _: False)
     monkeypatch.setattr(f"{lists}.refused", lambda _: Refusal("a reason", None))
     assert not is_looped(problem)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from jaxgrow.mesh.collision_mesh import distances_of, encounters, nearest_apart
 from jaxgrow.mesh.proximity import closest_on_segments, closest_on_triangles
-from jaxgrow.mesh.sheet import distances_of, encounters, nearest_apart
 
 from .. import brute_force
 from .sheets import of_every_kind

@@ -10,12 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrow import kernels, slow_path
+from jaxgrow import kernels
 from jaxgrow.kernels import ffi
 from jaxgrow.kernels.arguments import Argument, codes_of
 from jaxgrow.kernels.layout import NEAR_ARGUMENTS, NEAR_RESULTS
 from jaxgrow.kernels.refusals import Refusal, said
-from jaxgrow.slow_path import SlowPathWarning, UnvalidatedVersionWarning
+from jaxgrow.runtime import slow_path
+from jaxgrow.runtime.slow_path import SlowPathWarning, UnvalidatedVersionWarning
 
 
 pytest.importorskip("numba")

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrow import cells
-from jaxgrow.neighbors import _near_by_scan, allocate, find_near
+from jaxgrow.neighbors import cell_list as cells
+from jaxgrow.neighbors.verlet_list import _near_by_scan, allocate, find_near
 
 
 RADIUS = 2.4

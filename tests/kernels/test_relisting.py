@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from jaxgrow.energy.contact import list_contacts
+from jaxgrow.energy.parameters import Parameters
 from jaxgrow.equilibrium.lbfgs import LBFGS
-from jaxgrow.equilibrium.listing import allocate_lists
-from jaxgrow.equilibrium.looped import descend_by_loop
 from jaxgrow.equilibrium.loops import with_loops
+from jaxgrow.equilibrium.native_descent import descend_by_loop
 from jaxgrow.equilibrium.problem import Problem
+from jaxgrow.equilibrium.refresh_lists import allocate_lists
 from jaxgrow.kernels.layout import Touching
-from jaxgrow.parameters import Parameters
-from jaxgrow.relisting import Links, relink
+from jaxgrow.neighbors.update_particle import Links, relink
 from jaxgrow.state import Particles
-from jaxgrow.transfer import get, parked
+from jaxgrow.transfer.device import get, parked
 
 
 def places(count, seed=0):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxgrow.mesh.sheet import Walls
+from jaxgrow.mesh.collision_mesh import Walls
 
 from ..brute_force import walls_near
 from .sheets import of_every_kind

@@ -12,9 +12,9 @@ from hypothesis import given, Phase, settings, strategies as st
 
 from jaxgrow.mesh.audit import audit_surface
 from jaxgrow.mesh.collapse import collapse
-from jaxgrow.mesh.crossing import Crossing
 from jaxgrow.mesh.fairing import fair
-from jaxgrow.mesh.guard import Guard
+from jaxgrow.mesh.intersection_guard import Crossing
+from jaxgrow.mesh.particle_guard import Guard
 from jaxgrow.mesh.repair import repair
 from jaxgrow.mesh.subdivide import split_edges, subdivide
 from jaxgrow.mesh.surface import Surface

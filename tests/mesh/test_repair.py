@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from jaxgrow.mesh import repair as module
-from jaxgrow.mesh.crossing import Crossing
 from jaxgrow.mesh.fairing import fair
 from jaxgrow.mesh.intersection import intersecting_pairs
+from jaxgrow.mesh.intersection_guard import Crossing
 from jaxgrow.mesh.quality import area_vectors, radius_ratio, unit
 from jaxgrow.mesh.repair import repair
 from jaxgrow.mesh.surface import Surface

@@ -6,7 +6,7 @@ import pytest
 
 from jaxgrow.mesh.surface import Surface
 from jaxgrow.state import FormerSurface, Frame, State
-from jaxgrow.transfer import put_membrane, put_particles
+from jaxgrow.transfer.device import put_membrane, put_particles
 
 
 PARTICLES = np.array(

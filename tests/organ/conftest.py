@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from jaxgrow.organ.implicit import round_cone
+from jaxgrow.organ.implicit_surface import round_cone
 from jaxgrow.organ.organ import Organ
 from jaxgrow.organ.tessellation import tessellate
 from jaxgrow.organ.uterus import uterus

@@ -1,0 +1,63 @@
+"""The public names, and where each is."""
+
+from .calibration.fit import fit as fit
+from .calibration.outcome import Fit as Fit
+from .calibration.spec import Bounds as Bounds, FitError as FitError, Target as Target
+from .energy.a2 import A2 as A2
+from .energy.parameters import (
+    Parameters as Parameters,
+    UnstableAdhesionWarning as UnstableAdhesionWarning,
+)
+from .energy.term import (
+    Elements as Elements,
+    MembraneTerm as MembraneTerm,
+    Term as Term,
+)
+from .ensemble.grow_many import grow_many as grow_many
+from .equilibrium.linear_response import (
+    linear_response as linear_response,
+    LinearResponse as LinearResponse,
+)
+from .equilibrium.relax import relax as relax, Relaxation as Relaxation
+from .growth.grow import grow as grow
+from .growth.result import Growth as Growth, Progress as Progress
+from .io.audit import Audit as Audit, audit as audit
+from .io.run_folder import (
+    audit_run as audit_run,
+    read_run as read_run,
+    write_run as write_run,
+)
+from .metrics import shape_metrics as shape_metrics
+from .organ.loading import load_organ as load_organ
+from .organ.organ import Organ as Organ
+from .organ.uterus import uterus as uterus
+from .organ.validity import OrganError as OrganError
+from .render import render_growth as render_growth, render_surface as render_surface
+from .runtime.compile_cache import keep_programs as keep_programs
+from .runtime.results import Result as Result
+from .runtime.slow_path import (
+    SlowPathWarning as SlowPathWarning,
+    UnvalidatedVersionWarning as UnvalidatedVersionWarning,
+)
+from .scene.scene import (
+    load_scene as load_scene,
+    make_scene as make_scene,
+    Myoma as Myoma,
+    Polyp as Polyp,
+    Scene as Scene,
+    SceneError as SceneError,
+    Surroundings as Surroundings,
+)
+from .state import (
+    Membrane as Membrane,
+    Nodes as Nodes,
+    Particles as Particles,
+    Species as Species,
+    State as State,
+)
+from .transfer.constructors import (
+    make_membrane as make_membrane,
+    make_particles as make_particles,
+)
+
+__version__: str

@@ -1,0 +1,135 @@
+"""What a running growth shows: a live bar on a terminal, sparse lines elsewhere."""
+
+from __future__ import annotations
+
+import math
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress as Bar, SpinnerColumn, TextColumn
+
+
+if TYPE_CHECKING:
+    from jaxgrow.growth.result import Progress
+
+
+PREPARING = "preparing the tissue"
+"""What is shown before the first division."""
+
+LINE_EVERY = 0.1
+"""Without a terminal a line is written after each such share of the way, …"""
+
+LINE_SECONDS = 30.0
+"""… and after so many seconds without one."""
+
+
+class ProgressDisplay:
+    """Divisions, size reached of size asked for, residual and time left.
+
+    A context manager, and the callable that `jaxgrow.grow` takes as `progress`.
+
+    Args:
+        console: where to write; a terminal gets a bar, anything else lines.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._bar: Bar | None = None
+        self._way = _Way()
+        self._written = (0.0, 0.0)
+        if console.is_terminal:
+            self._bar = Bar(
+                SpinnerColumn(),
+                BarColumn(bar_width=None),
+                TextColumn("{task.description}"),
+                console=console,
+                transient=True,
+            )
+            self._task = self._bar.add_task(PREPARING, total=None)
+        else:
+            console.print(PREPARING, highlight=False)
+
+    def __enter__(self) -> ProgressDisplay:
+        if self._bar is not None:
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def __call__(self, progress: Progress) -> None:
+        """Show where the growth stands."""
+        share = self._way.add(progress)
+        text = describe(progress, self._way.seconds_left())
+        if self._bar is not None:
+            self._bar.update(self._task, total=1.0, completed=share, description=text)
+            return
+        last_share, last_seconds = self._written
+        due = progress.seconds - last_seconds > LINE_SECONDS
+        if due or share - last_share > LINE_EVERY or share >= 1.0:
+            self._written = (share, progress.seconds)
+            self._console.print(text, highlight=False, soft_wrap=True)
+
+
+def describe(progress: Progress, seconds_left: float | None) -> str:
+    """One line for one state of a growth."""
+    if progress.target_mm is None:
+        divisions = f"{progress.divisions} of {progress.target_divisions} divisions"
+        size = f"{progress.size_mm:.1f} mm"
+    else:
+        divisions = f"{progress.divisions} divisions"
+        size = f"{progress.size_mm:.1f} of {progress.target_mm:g} mm"
+    parts = [divisions, size, f"residual {progress.residual:.0e}"]
+    if seconds_left is not None:
+        parts.append(f"{clock(seconds_left)} left")
+    return ", ".join(parts)
+
+
+def clock(seconds: float) -> str:
+    """Seconds as m:ss or h:mm:ss."""
+    minutes, rest = divmod(math.ceil(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
+
+
+class _Way:
+    """Share of the way, and the time for the rest.
+
+    The time that a growth has taken is taken to be a power of how far it has come.
+    The exponent is measured between half of the way that is behind us and now, and
+    kept between 1 and 4: a finger grows in length by its divisions (1), a ball in
+    diameter by their cube root (3), and each division costs more than the one before.
+    """
+
+    def __init__(self) -> None:
+        self._trail: list[tuple[float, float]] = []
+
+    def add(self, progress: Progress) -> float:
+        if progress.target_mm is None:
+            share = progress.divisions / (progress.target_divisions or 1)
+        else:
+            share = progress.size_mm / progress.target_mm
+        share = min(max(share, 0.0), 1.0)
+        self._trail.append((share, progress.seconds))
+        return share
+
+    def seconds_left(self) -> float | None:
+        """None as long as there is too little to go by."""
+        share, seconds = self._trail[-1]
+        if share <= 0.05 or len(self._trail) < 5:
+            return None
+        start = self._trail[0][1]
+        half, then = min(self._trail, key=lambda point: abs(point[0] - share / 2))
+        exponent = 2.0
+        if 0 < half < share and start < then < seconds:
+            exponent = math.log((seconds - start) / (then - start))
+            exponent /= math.log(share / half)
+        exponent = min(max(exponent, 1.0), 4.0)
+        return (seconds - start) * (share**-exponent - 1.0)

@@ -1,0 +1,1 @@
+"""Several growths at once, in processes."""

@@ -1,0 +1,272 @@
+"""The methods of a relaxation, and how one is run on lists that may overflow."""
+
+from collections.abc import Callable, Iterator
+from typing import Any, get_args, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.typing import DTypeLike
+from jaxtyping import PyTree
+
+from jaxgrow.energy.parameters import Parameters
+from jaxgrow.equilibrium.descent import blank_memory, descend, Minimiser
+from jaxgrow.equilibrium.euler import Euler
+from jaxgrow.equilibrium.fire import FIRE
+from jaxgrow.equilibrium.gauss_seidel import sweep
+from jaxgrow.equilibrium.lbfgs import LBFGS
+from jaxgrow.equilibrium.lists import Lists
+from jaxgrow.equilibrium.loops import how_terms_run, with_loops
+from jaxgrow.equilibrium.native_descent import descend_by_loop
+from jaxgrow.equilibrium.native_lists import why_not_looped
+from jaxgrow.equilibrium.newton import polish
+from jaxgrow.equilibrium.problem import Problem
+from jaxgrow.equilibrium.refresh_lists import allocate_lists, CollisionLister, prepared
+from jaxgrow.equilibrium.trust_region import descend_by_trust
+from jaxgrow.runtime.descents import note_descent
+from jaxgrow.runtime.results import Result
+from jaxgrow.state import Nodes
+
+
+Method = Literal[
+    "auto", "lbfgs", "fire", "newton", "local", "euler", "serial", "staggered"
+]
+
+NEAR = 1e-4
+"""Residual, in F(0), from which Newton's method converges without help."""
+
+POLISHED = 1e-12
+"""Tolerance below which Newton's method ends a relaxation, in F(0): down to there
+L-BFGS takes a quarter of the time, and below it meets the rounding of the forces."""
+
+BEYOND = 0.01
+"""Share of a tolerance down to which is relaxed where derivatives may be taken."""
+
+TIGHT = 1e-6
+"""Tolerance below which Newton's method goes on where L-BFGS does not converge."""
+
+
+_descend = eqx.filter_jit(descend)
+# everything is an array there, and jax's own call takes a tenth of the time
+_descend_by_loop = jax.jit(descend_by_loop)
+_polish = eqx.filter_jit(polish)
+_sweep = eqx.filter_jit(sweep)
+_descend_by_trust = eqx.filter_jit(descend_by_trust)
+_blank_memory = eqx.filter_jit(blank_memory)
+
+
+class Stage(NamedTuple):
+    """A method.
+
+    Attributes:
+        name: of it.
+        minimiser: None for a method that is no `Minimiser`.
+        tolerance: how far it goes.
+        polishes: whether it comes only after a method that converged.
+    """
+
+    name: str
+    minimiser: Minimiser | None
+    tolerance: float
+    polishes: bool = False
+
+
+class Limits(NamedTuple):
+    """Where a method stops, and its longest step."""
+
+    tolerance: float
+    max_steps: int
+    largest_step: float
+
+
+class Found(NamedTuple):
+    """Where a method ended."""
+
+    nodes: Nodes
+    force: Nodes
+    lists: Lists
+    result: Result
+    residual: float
+    steps: int
+    rebuilds: int
+    overflows: int
+
+
+def exact_tolerance(dtype: DTypeLike = jnp.float64) -> float:
+    """Tolerance of an equilibrium whose derivative is taken, in F(0)."""
+    return 1e-10 if jnp.finfo(dtype).bits > 32 else 1e-5
+
+
+def goal_of(tolerance: float, dtype: DTypeLike) -> float:
+    """How far to relax for a tolerance: beyond it where derivatives may be taken."""
+    if jnp.finfo(dtype).bits <= 32 or tolerance > exact_tolerance(dtype):
+        return tolerance
+    return min(tolerance, max(BEYOND * tolerance, POLISHED))
+
+
+def stages_of(method: str, tolerance: float, parameters: Parameters) -> Iterator[Stage]:
+    """The methods to try in turn, until one reaches the tolerance.
+
+    Raises:
+        ValueError: the method is unknown.
+    """
+    if method not in (known := get_args(Method)):
+        raise ValueError(f"method is {method!r}; it must be one of {list(known)}.")
+    # one after the other, as each is needed: most relaxations end with the first
+    if method == "local":
+        yield Stage("local", None, max(tolerance, NEAR))
+    lbfgs = Stage("lbfgs", LBFGS(), tolerance)
+    if method == "lbfgs":
+        yield lbfgs
+    elif method in ("auto", "local"):
+        yield lbfgs._replace(tolerance=max(tolerance, POLISHED))
+        if tolerance < TIGHT:
+            yield Stage("newton", None, tolerance, polishes=True)
+        if tolerance < POLISHED:
+            yield lbfgs._replace(polishes=True)
+    elif method in ("newton", "serial", "staggered"):
+        yield Stage(method, None, tolerance)
+    # the stiffest pairs bound the stable time step: 2 / √λ, and λ grows with s
+    stiffest = jnp.maximum(1.0, parameters.tumour_stiffness)
+    if method == "euler":
+        yield Stage("euler", Euler(Euler.rate / stiffest), tolerance)
+    if method in ("auto", "local", "fire"):
+        yield Stage("fire", FIRE(largest=0.4 / jnp.sqrt(stiffest)), tolerance)
+
+
+def run_stage(
+    problem: Problem,
+    lists: Lists,
+    stage: Stage,
+    limits: Limits,
+    collide: CollisionLister | None,
+    observe: Callable[[Nodes], None] | None,
+) -> Found:
+    """One method; every list that overflows is allocated anew and larger."""
+    newton = stage.name == "newton"
+    problem = with_loops(problem, lists, products=newton)
+    run = _path(problem, lists, stage, limits)
+    steps = rebuilds = overflows = 0
+    memory = None
+    if stage.minimiser is not None and (collide is not None or observe is not None):
+        memory = _blank_memory(problem, stage.minimiser)
+    while True:
+        lists = prepared(problem, lists, collide, refresh=run.refreshes)
+        problem = with_loops(problem, lists, products=newton)
+        left = limits.max_steps - steps
+        # newton's is not observed step by step
+        single = observe is not None and not newton
+        outcome = run(problem, lists, 1 if single else left, memory)
+        steps, rebuilds = steps + outcome.steps, rebuilds + outcome.rebuilds
+        memory, lists = outcome.memory, outcome.lists
+        if observe is not None and outcome.steps:
+            observe(outcome.nodes)
+        host = lists.of_host
+        paused = single or (host is not None and bool(host.stale))
+        if outcome.result is Result.OVERFLOW:
+            overflows += 1
+            problem = problem.at(outcome.nodes)
+            lists = allocate_lists(problem, lists)
+        elif (
+            outcome.result is Result.STEP_LIMIT and steps < limits.max_steps and paused
+        ):
+            problem = problem.at(outcome.nodes)
+        else:
+            return Found(
+                outcome.nodes,
+                outcome.force,
+                lists,
+                outcome.result,
+                outcome.residual,
+                steps,
+                rebuilds,
+                overflows,
+            )
+
+
+class _Outcome(NamedTuple):
+    """Where a program ended.
+
+    Attributes:
+        nodes, force, lists, memory: as in `Descent`.
+        result, residual, steps, rebuilds: likewise, on the host.
+    """
+
+    nodes: Nodes
+    force: Nodes
+    lists: Lists
+    memory: PyTree
+    result: Result
+    residual: float
+    steps: int
+    rebuilds: int
+
+
+class _Looped(NamedTuple):
+    """L-BFGS in one loop; it makes its lists itself, but for those of the host."""
+
+    minimiser: LBFGS
+    limits: Limits
+
+    refreshes = False
+
+    def __call__(
+        self, problem: Problem, lists: Lists, most: int, memory: PyTree
+    ) -> _Outcome:
+        tolerance, _, largest = self.limits
+        end = _descend_by_loop(
+            problem, lists, self.minimiser, tolerance, most, largest, memory
+        )
+        return _outcome(end, end.memory, int(end.steps), int(end.rebuilds))
+
+
+class _Compiled:
+    """A method that XLA compiles."""
+
+    refreshes = True
+
+    def __init__(self, stage: Stage, limits: Limits, problem: Problem) -> None:
+        self._stage = stage
+        self._tolerance = jnp.asarray(limits.tolerance, problem.dtype)
+        self._largest = jnp.asarray(limits.largest_step, problem.dtype)
+
+    def __call__(
+        self, problem: Problem, lists: Lists, most: int, memory: PyTree
+    ) -> _Outcome:
+        name, minimiser = self._stage.name, self._stage.minimiser
+        bounds = self._tolerance, jnp.asarray(most), self._largest
+        if name == "serial":
+            end = _sweep(problem, lists, *bounds)
+            return _outcome(end, memory, int(end.steps), int(end.rebuilds))
+        if name == "newton" and self._stage.polishes:
+            end = _polish(problem, lists, self._tolerance, self._largest)
+            return _outcome(end, memory, int(end.products), 0)
+        if name == "newton":
+            end = _descend_by_trust(problem, lists, *bounds)
+            return _outcome(end, memory, int(end.products), int(end.rebuilds))
+        assert minimiser is not None
+        end = _descend(problem, lists, minimiser, *bounds, memory)
+        return _outcome(end, end.memory, int(end.steps), int(end.rebuilds))
+
+
+def _path(
+    problem: Problem, lists: Lists, stage: Stage, limits: Limits
+) -> _Looped | _Compiled:
+    """What runs a method for this problem; of L-BFGS it is noted."""
+    if isinstance(stage.minimiser, LBFGS):
+        why_not, terms = why_not_looped(problem), how_terms_run(problem, lists)
+        without = [name for name, how in terms.items() if how != "loop"]
+        if why_not is None and without:
+            why_not = f"there is no loop for {', '.join(without)}"
+        note_descent(why_not, terms)
+        if why_not is None:
+            return _Looped(stage.minimiser, limits)
+    return _Compiled(stage, limits, problem)
+
+
+def _outcome(end: Any, memory: PyTree, steps: int, rebuilds: int) -> _Outcome:
+    """What a program returned, with its numbers on the host."""
+    result, residual = Result.of(end.code), float(end.residual)
+    return _Outcome(
+        end.nodes, end.force, end.lists, memory, result, residual, steps, rebuilds
+    )

@@ -1,0 +1,1 @@
+"""The growth loop of the paper (§4): divide, adapt, fair, reset."""

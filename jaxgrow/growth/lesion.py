@@ -1,0 +1,143 @@
+"""Which part of the surface is the lesion, and how large it is: found on the host."""
+
+from contextlib import suppress
+
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import ConvexHull, KDTree, QhullError
+from scipy.spatial.distance import pdist
+
+from jaxgrow.equilibrium.transformations import is_differentiated
+from jaxgrow.mesh.proximity import nearest_on_mesh
+from jaxgrow.mesh.quality import area_vectors
+from jaxgrow.mesh.topology import build_topology
+from jaxgrow.numerics.guards import safe_norm
+from jaxgrow.runtime.types import Scalar
+from jaxgrow.scene.scene import Myoma, Scene
+from jaxgrow.state import Species, State
+from jaxgrow.transfer.device import get, get_particles, get_surface, put
+
+
+RAISED = 0.5
+"""Surface higher than this (r0) above the former one belongs to the lesion."""
+
+COVERING = 1.0
+"""Surface closer than this (r0) to a tumour particle belongs to the lesion."""
+
+BELONGING = 2.5
+"""Raised surface that comes this close (r0) to the tumour was raised by it: tissue may
+lie between a myoma and the surface."""
+
+
+def height_above(
+    points: Float[np.ndarray, "n 3"],
+    vertices: Float[np.ndarray, "m 3"],
+    faces: Int[np.ndarray, "f 3"],
+) -> Float[np.ndarray, " n"]:
+    """Distance to a surface, positive on the side that its normals point to."""
+    distance, face, closest = nearest_on_mesh(points, vertices, faces)
+    normal = area_vectors(vertices[faces[face]])
+    above = np.einsum("ni,ni->n", points - closest, normal) > 0
+    return np.where(above, distance, -distance)
+
+
+def raised(state: State) -> Bool[np.ndarray, " m"]:
+    """Living membrane vertices that the tumour raised half an r0 over the former ones.
+
+    Surface of that height counts where it is connected with a vertex near the tumour:
+    tissue elsewhere may push its surface up as well.
+    """
+    assert state.membrane is not None
+    assert state.frame.former is not None
+    surface, former = get_surface(state.membrane), state.frame.former
+    height = height_above(surface.vertices, get(former.vertices), get(former.faces))
+    high = height > RAISED
+    edges = build_topology(surface.faces, len(high)).edges
+    first, second = edges[high[edges].all(axis=1)].T
+    graph = coo_array(
+        (np.ones(len(first)), (first, second)), shape=(len(high), len(high))
+    )
+    _, component = connected_components(graph, directed=False)
+    near = _to_tumour(state, surface.vertices) < BELONGING
+    mine = np.isin(component, component[high & near])
+    return high & mine
+
+
+def _to_tumour(
+    state: State, points: Float[np.ndarray, "m 3"]
+) -> Float[np.ndarray, "m"]:
+    """Distance of each point to the nearest tumour particle; infinite without any."""
+    position, species = get_particles(state.particles)
+    tumour = position[species == Species.TUMOUR]
+    if len(tumour) == 0:
+        return np.full(len(points), np.inf)
+    distance, _ = KDTree(tumour).query(points)
+    return np.asarray(distance)
+
+
+def lesion_vertices(state: State) -> Bool[np.ndarray, " m"]:
+    """Living membrane vertices of the lesion: raised by it, or close to its tumour."""
+    assert state.membrane is not None
+    points = get(state.membrane.vertices)[get(state.membrane.vertex_alive)]
+    return raised(state) | (_to_tumour(state, points) < COVERING)
+
+
+def farthest(points: Float[np.ndarray, "n 3"]) -> tuple[int, int]:
+    """The two points that are farthest from each other; 0 and 0 for fewer than two."""
+    if len(points) < 2:
+        return 0, 0
+    some = np.arange(len(points))
+    if len(points) > 50:
+        with suppress(QhullError):  # points in a plane have no hull of volume
+            some = ConvexHull(points).vertices
+    first, second = np.triu_indices(len(some), 1)
+    most = int(pdist(points[some]).argmax())
+    return int(some[first[most]]), int(some[second[most]])
+
+
+def diameter(points: Float[np.ndarray, "n 3"]) -> float:
+    """Largest distance of two points; 0 for fewer than two."""
+    if len(points) < 2:
+        return 0.0
+    return float(pdist(points[list(farthest(points))])[0])
+
+
+def size_of(scene: Scene, state: State) -> Scalar:
+    """Largest diameter of the lesion, in r0.
+
+    Of a polyp: of the raised surface, which is what is seen of it. Of a myoma: of its
+    body, the tumour particles with their own diameter r0, part of which stays under
+    the surface.
+
+    It is a number; where a derivative of the state is taken, a scalar with the same
+    value and the derivative of the distance between the two farthest points.
+    """
+    if isinstance(scene.lesion, Myoma):
+        particles = state.particles
+        tumour = get(particles.alive) & (get(particles.species) == Species.TUMOUR)
+        return _diameter_of(particles.position, np.flatnonzero(tumour)) + 1.0
+    assert state.membrane is not None
+    alive = np.flatnonzero(get(state.membrane.vertex_alive))
+    return _diameter_of(state.membrane.vertices, alive[raised(state)])
+
+
+def _diameter_of(
+    positions: Float[Array, "n 3"], chosen: Int[np.ndarray, " k"]
+) -> Scalar:
+    """Largest distance among some rows."""
+    points = get(positions)[chosen]
+    number = diameter(points)
+    if number == 0 or not is_differentiated(positions):
+        return number
+    length = _distance(positions, put(chosen[list(farthest(points))]))
+    return number + (length - jax.lax.stop_gradient(length))  # with the number's bits
+
+
+@jax.jit
+def _distance(
+    positions: Float[Array, "n 3"], pair: Int[Array, "2"]
+) -> Float[Array, ""]:
+    return safe_norm(positions[pair[0]] - positions[pair[1]])

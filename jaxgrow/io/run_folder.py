@@ -1,0 +1,276 @@
+"""A run's folder: organ, particles, picture and report, whole or not there at all."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float, Integer, UInt8
+
+from jaxgrow.io.export import (
+    read_organ_ply,
+    read_particles,
+    write_atomically,
+    write_mesh,
+    write_particles,
+)
+
+
+if TYPE_CHECKING:
+    from jaxgrow.growth.result import Growth
+    from jaxgrow.io.audit import Audit
+
+
+FORMATS = ("ply", "obj", "stl", "glb")
+"""Formats of the organ; PLY is always written."""
+
+REPORT = "report.json"
+PICTURE = "growth.png"
+PARTICLES = "particles.ply"
+ORGAN = "organ.ply"
+
+_FILES = {REPORT, PICTURE, PARTICLES, *(f"organ.{kind}" for kind in FORMATS)}
+_PARTIAL = ".jaxgrow-"
+
+
+class RunFolderError(ValueError):
+    """A folder that cannot be written or read; its message is for the user."""
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What a run's folder holds.
+
+    Attributes:
+        vertices: of the whole organ in mm; None for a free cluster.
+        faces: its triangles; None for a free cluster.
+        label: of every vertex, 0 healthy, 1 lesion; None for a free cluster.
+        position: of the particles, in mm.
+        species: of the particles, 0 tissue, 1 tumour.
+        report: what `jaxgrow.io.report.make_report` says.
+    """
+
+    vertices: Float[np.ndarray, "m 3"] | None
+    faces: Integer[np.ndarray, "f 3"] | None
+    label: UInt8[np.ndarray, " m"] | None
+    position: Float[np.ndarray, "n 3"]
+    species: UInt8[np.ndarray, " n"]
+    report: dict[str, Any]
+
+
+def check_destination(directory: str | Path) -> None:
+    """Refuse, before a growth, a folder that a run could not be written to.
+
+    A folder may be new, empty, or hold an earlier run, which will be replaced.
+
+    Raises:
+        RunFolderError: it is a file, holds something else, or cannot be written to.
+    """
+    directory = Path(directory).resolve()
+    try:
+        _check_content(directory)
+        existing = directory
+        while not existing.exists():
+            existing = existing.parent
+        with tempfile.TemporaryDirectory(prefix=_PARTIAL, dir=existing):
+            pass
+    except OSError as error:
+        raise RunFolderError(
+            f"nothing can be written to {directory}: {error.strerror}; "
+            "choose another folder."
+        ) from error
+
+
+def _check_content(directory: Path) -> None:
+    if not directory.exists():
+        return
+    if not directory.is_dir():
+        raise RunFolderError(
+            f"{directory} is a file, but a run is written to a folder; "
+            "give the name of a new one."
+        )
+    names = [entry.name for entry in directory.iterdir()]
+    foreign = [n for n in names if n not in _FILES and not n.startswith(_PARTIAL)]
+    if foreign or (REPORT not in names and any(n in _FILES for n in names)):
+        example = sorted(foreign or names)[0]
+        raise RunFolderError(
+            f"{directory} is not empty and holds no earlier run alone "
+            f"(there is {example}); give a new folder, or empty this one."
+        )
+
+
+def write_run(
+    growth: Growth, directory: str | Path, formats: Sequence[str] = ("ply",)
+) -> dict[str, Any]:
+    """Write a growth's folder; it is complete, or as it was before.
+
+    Everything is written to a temporary folder first. A new folder then appears by
+    one renaming. In a folder that exists, an earlier run's report is removed first and
+    the new one comes last, so that a folder with a report is a complete run.
+
+    ==================  =============================================================
+    ``organ.ply``       the whole organ with the lesion, labelled; none for a free
+                        cluster; likewise ``organ.obj``, ``.stl``, ``.glb``
+    ``particles.ply``   positions, species and radii of all particles
+    ``growth.png``      the surface view and the inner view
+    ``report.json``     request, outcome, counts, residuals, seconds, versions, audit
+    ==================  =============================================================
+
+    Args:
+        growth: what to write, whether it reached what was asked for or not.
+        directory: the folder; see `check_destination`.
+        formats: of the organ's surface, besides PLY.
+
+    Returns:
+        The report.
+
+    Raises:
+        RunFolderError: the folder holds something else, or cannot be written to.
+        ValueError: a format is unknown.
+    """
+    unknown = [kind for kind in formats if kind not in FORMATS]
+    if unknown:
+        raise ValueError(f"format {unknown[0]!r} is unknown; use {', '.join(FORMATS)}.")
+    directory = Path(directory).resolve()
+    check_destination(directory)
+    exists = directory.exists()
+    if not exists:
+        directory.parent.mkdir(parents=True, exist_ok=True)
+    place = directory if exists else directory.parent
+    with tempfile.TemporaryDirectory(prefix=_PARTIAL, dir=place) as temporary:
+        partial = Path(temporary) / "run"
+        partial.mkdir()
+        report = _fill(growth, partial, formats)
+        if exists:
+            _replace(directory, partial)
+        else:
+            partial.rename(directory)
+    return report
+
+
+def _fill(growth: Growth, directory: Path, formats: Sequence[str]) -> dict[str, Any]:
+    """Write all files of a run into an empty folder."""
+    from jaxgrow.io.report import make_report
+
+    vertices = faces = label = None
+    if growth.organ is not None:
+        vertices, faces, label = growth.surface()
+        for kind in dict.fromkeys(("ply", *formats)):
+            write_mesh(directory / f"organ.{kind}", vertices, faces, label)
+    position, species = growth.particles()
+    radius = growth.scene.r0_mm / 2
+    write_particles(directory / PARTICLES, position, species, radius)
+    _draw(growth, directory / PICTURE, vertices, faces, label)
+    report = make_report(growth, label)
+    _write_report(directory, report)
+    report["audit"] = audit_run(directory).as_dict()
+    _write_report(directory, report)
+    return report
+
+
+def _write_report(directory: Path, report: dict[str, Any]) -> None:
+    from jaxgrow.io.report import plain
+
+    text = json.dumps(plain(report), indent=1, allow_nan=False) + "\n"
+    write_atomically(directory / REPORT, lambda file: file.write(text.encode()))
+
+
+def _draw(
+    growth: Growth,
+    path: Path,
+    vertices: np.ndarray | None,
+    faces: np.ndarray | None,
+    label: np.ndarray | None,
+) -> None:
+    from jaxgrow.render import render_growth
+
+    position, species = growth.particles()
+    site = growth.site
+    render_growth(
+        path,
+        vertices=vertices,
+        faces=faces,
+        label=label,
+        particles=position,
+        species=species,
+        site=np.zeros(3) if site is None else site.point,
+        axis=np.array([0.0, 0.0, 1.0]) if site is None else site.normal,
+        particle_diameter=growth.scene.r0_mm,
+        caption=describe(growth),
+    )
+
+
+def describe(growth: Growth) -> str:
+    """What grew, in one line."""
+    where = "grown freely"
+    if growth.site is not None and growth.organ is not None:
+        where = f"at {growth.site.name} of {growth.organ.name}"
+    kind, divisions = growth.scene.lesion.kind, growth.events.divisions
+    return f"{kind} of {growth.size_mm:.1f} mm {where}, {divisions} divisions"
+
+
+def _replace(directory: Path, partial: Path) -> None:
+    """Put a complete run in the place of an earlier one."""
+    for name in sorted(_FILES, key=lambda name: name != REPORT):
+        (directory / name).unlink(missing_ok=True)
+    for file in sorted(partial.iterdir(), key=lambda file: file.name == REPORT):
+        file.replace(directory / file.name)
+
+
+def read_run(directory: str | Path) -> Run:
+    """Read a run's folder back.
+
+    Raises:
+        RunFolderError: it is no folder, no run, or one of its files is damaged.
+    """
+    directory = Path(directory)
+    if not (directory / REPORT).is_file():
+        kind = "holds no report.json" if directory.is_dir() else "is no folder"
+        raise RunFolderError(
+            f"{directory} {kind}, so it is no run; give a folder that "
+            "jaxgrow grow wrote."
+        )
+    try:
+        report = json.loads((directory / REPORT).read_text(encoding="utf-8"))
+        free = report["request"]["scene"]["organ"] is None
+        surface = (None, None, None) if free else read_organ_ply(directory / ORGAN)
+        position, species, _ = read_particles(directory / PARTICLES)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise RunFolderError(
+            f"the run in {directory} is damaged: {_reason(error)}"
+        ) from error
+    return Run(*surface, position, species, report)
+
+
+def _reason(error: Exception) -> str:
+    """Why a file of a run cannot be read, in words."""
+    if isinstance(error, OSError):
+        return f"{Path(str(error.filename)).name}: {error.strerror}."
+    if isinstance(error, json.JSONDecodeError | UnicodeDecodeError):
+        return f"{REPORT} is not valid JSON."
+    if isinstance(error, KeyError | TypeError):
+        return f"{REPORT} lacks the entry request.scene.organ."
+    return str(error)
+
+
+def audit_run(directory: str | Path) -> Audit:
+    """Check a run from its files alone; nothing is taken from the growth's memory.
+
+    Raises:
+        RunFolderError: it is no folder, no run, or one of its files is damaged.
+    """
+    from jaxgrow.io.audit import audit_arrays
+
+    run = read_run(directory)
+    return audit_arrays(
+        run.position,
+        run.vertices,
+        run.faces,
+        run.report["request"]["scene"].get("tissue", "outside"),
+        run.report.get("counts", {}).get("euler_number_before"),
+    )

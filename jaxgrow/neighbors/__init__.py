@@ -1,0 +1,1 @@
+"""Lists of near particles: cells, Verlet lists, and what is within a radius."""

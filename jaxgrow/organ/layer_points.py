@@ -1,0 +1,158 @@
+"""The space under a patch that tissue fills."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
+
+from jaxgrow.mesh.proximity import nearest_on_mesh
+from jaxgrow.mesh.quality import lengths, unit
+from jaxgrow.mesh.topology import build_topology
+from jaxgrow.organ.organ import Organ
+from jaxgrow.organ.patch import Patch
+from jaxgrow.organ.signed_distance import Sides
+
+
+class Found(NamedTuple):
+    """Points that lie in a space, and how deep under the organ's surface.
+
+    Attributes:
+        points: Local positions in r0.
+        depth: Exact distance to the organ's surface in r0.
+        face: The organ's triangle that is nearest.
+    """
+
+    points: Float[np.ndarray, "k 3"]
+    depth: Float[np.ndarray, "k"]
+    face: Int[np.ndarray, "k"]
+
+
+class Layer:
+    """The layer under a patch.
+
+    It is what lies on the tissue's side, has its nearest point of the organ's surface
+    on the patch, and is between ``gap`` and ``thickness`` away from it. Its sides are
+    the walls that drop from the rim along its normals. All lengths are in r0.
+
+    Attributes:
+        gap: Free depth just under the surface.
+        thickness: Depth of the bottom.
+        low: Corner of a box that holds the layer.
+        high: Its opposite corner.
+    """
+
+    def __init__(
+        self, organ: Organ, patch: Patch, gap: float, thickness: float
+    ) -> None:
+        self.gap, self.thickness = gap, thickness
+        self.low = patch.vertices.min(axis=0) - thickness
+        self.high = patch.vertices.max(axis=0) + thickness
+        # no triangle further than the thickness from the box can be the nearest one
+        # of a point of the layer
+        self._surface = Sides(
+            patch.to_local(organ.vertices),
+            organ.faces,
+            self.low - thickness,
+            self.high + thickness,
+        )
+        self._on_patch = patch.face_mask
+        self._tissue_sign = -organ.lumen_sign
+        triangles = patch.vertices[patch.faces]
+        self._centres = KDTree(triangles.mean(axis=1))
+        self._radius = lengths(triangles - triangles.mean(axis=1)[:, None]).max()
+        normals = self._surface.vertex_normals[patch.organ_index]
+        self._walls = _side_walls(patch, -organ.lumen_sign * normals, thickness)
+
+    def inside(self, points: Float[np.ndarray, "n 3"]) -> Found:
+        """The points that lie in the layer."""
+        reach = self.thickness + self._radius
+        centre = self._centres.query(points, distance_upper_bound=reach)[0]
+        points = points[np.isfinite(centre)]
+        depth, side, face = self._surface.measure(points)
+        inside = (
+            (self._tissue_sign * side > 0)
+            & (depth >= self.gap)
+            & (depth <= self.thickness)
+            & self._on_patch[face]
+        )
+        return Found(points[inside], depth[inside], face[inside])
+
+    def depth(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
+        """Exact distance to the organ's surface, on either side of it."""
+        return self._surface.measure(points).distance
+
+    def near_edge(
+        self,
+        points: Float[np.ndarray, "n 3"],
+        depth: Float[np.ndarray, "n"],
+        margin: float,
+    ) -> Bool[np.ndarray, "n"]:
+        """Whether points of this depth are within a margin of the bottom or a side."""
+        if not len(points):
+            return np.zeros(0, dtype=bool)
+        beside = nearest_on_mesh(points, *self._walls)[0]
+        return (depth > self.thickness - margin) | (beside < margin)
+
+
+class Addition:
+    """What a wider or deeper layer has more than the one before it.
+
+    A point of it lies in the new layer and not in the old one, and has the gap to the
+    surface as it has grown, behind which it lies.
+
+    Attributes:
+        layer: The new layer.
+        low: Corner of a box that holds the space.
+        high: Its opposite corner.
+    """
+
+    def __init__(
+        self,
+        layer: Layer,
+        patch_before: Patch,
+        thickness_before: float,
+        grown: Sides,
+        sign: int,
+    ) -> None:
+        """The space between two layers under a grown surface.
+
+        Args:
+            layer: The new one.
+            patch_before: The patch over the old one.
+            thickness_before: Of the old one.
+            grown: The organ's surface with the lesion.
+            sign: Of the side of ``grown`` that the tissue is on.
+        """
+        self.low, self.high = layer.low, layer.high
+        self.layer, self._grown, self._sign = layer, grown, sign
+        self._on_patch = patch_before.face_mask
+        self._thickness = thickness_before
+
+    def inside(self, points: Float[np.ndarray, "n 3"]) -> Found:
+        """The points that lie in the space."""
+        points, depth, face = self.layer.inside(points)
+        new = ~self._on_patch[face] | (depth > self._thickness)
+        points, depth, face = points[new], depth[new], face[new]
+        gap, side, _ = self._grown.measure(points)
+        free = (self._sign * side > 0) & (gap >= self.layer.gap)
+        return Found(points[free], depth[free], face[free])
+
+
+def _side_walls(
+    patch: Patch, down: Float[np.ndarray, "m 3"], thickness: float
+) -> tuple[Float[np.ndarray, "w 3"], Int[np.ndarray, "s 3"]]:
+    """The strip from the rim down to the bottom, two triangles a rim edge."""
+    topology = build_topology(patch.faces, len(patch.vertices))
+    bottom = patch.vertices + thickness * unit(down)
+    first, second = topology.edges[~topology.interior].T
+    below = len(patch.vertices)
+    faces = np.concatenate(
+        [
+            np.stack([first, second, second + below], axis=1),
+            np.stack([first, second + below, first + below], axis=1),
+        ]
+    )
+    return np.concatenate([patch.vertices, bottom]), faces

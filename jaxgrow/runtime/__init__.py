@@ -1,0 +1,1 @@
+"""What every layer may use: results, types, caches, timers, warnings."""

@@ -1,0 +1,1 @@
+"""What a user asks for: lesion, surroundings, parameters; read and validated."""

@@ -1,0 +1,1 @@
+"""Arrays between host and device: checked, padded, put and got."""

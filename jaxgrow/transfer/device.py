@@ -1,0 +1,239 @@
+"""Crossing between host and device: `put_` goes to the device, `get_` comes back.
+
+Arrays on the device have a capacity that grows by factors of 3/2, so that a growth
+needs few compiled programs; the live rows are always the first ones. What growth does
+to positions stays on the device, so that it can be differentiated; only what is chosen
+(who divides, which edge is split) is decided on the host.
+"""
+
+from typing import NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxgrow.energy.terms import MEMBRANE_TERMS
+from jaxgrow.mesh.surface import average_parents, Remeshing, Surface
+from jaxgrow.mesh.topology import build_topology
+from jaxgrow.numerics.capacity import capacity_for
+from jaxgrow.runtime.types import Scalar
+from jaxgrow.state import Membrane, Particles
+
+
+MembraneOrNone = TypeVar("MembraneOrNone", bound=Membrane | None)
+
+
+def get(array: Array) -> np.ndarray:
+    """Values on the host, cut off from any derivative.
+
+    Of an array that nobody traces there is nothing to cut off.
+    """
+    if isinstance(array, Tracer):
+        array = jax.lax.stop_gradient(array)
+    return np.asarray(array)
+
+
+def get_number(value: Scalar) -> float:
+    """A parameter on the host, whether it is a number, an array or traced by `grad`."""
+    return float(get(jnp.asarray(value)))
+
+
+def put(array: np.ndarray) -> Array:
+    """A copy on the device.
+
+    Not by `jnp.asarray`, which compiles a program for every shape (JAX 0.10). What
+    `jax.device_put` is given may be the device's memory from then on, so it is a copy.
+    """
+    return jax.device_put(np.array(array))
+
+
+def padded(array: np.ndarray, capacity: int, value: float = 0) -> np.ndarray:
+    """The array with rows of a value (zeros, False) behind it."""
+    filled = np.full((capacity, *array.shape[1:]), value, array.dtype)
+    filled[: len(array)] = array
+    return filled
+
+
+def parked(count: int, start: int = 0) -> Float[np.ndarray, "n 3"]:
+    """Positions for padding slots, on a lattice far from everything.
+
+    They are apart from each other because particles parked at one point would fill
+    one cell of a neighbour list.
+    """
+    index = np.arange(start, start + count)
+    lattice = np.stack([index % 16, index // 16 % 16, index // 256], axis=1)
+    return 1e4 + 4.0 * lattice.astype(float)
+
+
+def put_particles(
+    position: Float[np.ndarray, "n 3"],
+    species: Int[np.ndarray, " n"],
+    held: Bool[np.ndarray, " n"],
+    capacity: int,
+) -> Particles:
+    """Particles on the device, with room for more."""
+    count = len(position)
+    padding = put(parked(capacity - count))
+    return Particles(
+        position=jnp.concatenate([put(position), padding]),
+        species=put(padded(species, capacity)),
+        alive=put(np.arange(capacity) < count),
+        held=put(padded(held, capacity)),
+    )
+
+
+def with_capacity(particles: Particles, capacity: int) -> Particles:
+    """The same particles with more room."""
+    old = particles.position.shape[0]
+    more = capacity - old
+
+    def extend(array: Array) -> Array:
+        return jnp.concatenate([array, jnp.zeros(more, array.dtype)])
+
+    return Particles(
+        position=jnp.concatenate([particles.position, put(parked(more, old))]),
+        species=extend(particles.species),
+        alive=extend(particles.alive),
+        held=extend(particles.held),
+    )
+
+
+def get_particles(
+    particles: Particles,
+) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
+    """Position (in r0) and species of the living."""
+    alive = get(particles.alive)
+    return get(particles.position)[alive], get(particles.species)[alive]
+
+
+class Positions(NamedTuple):
+    """Positions of what is alive, on the host.
+
+    Attributes:
+        particles: in r0.
+        vertices: in r0; None without a membrane.
+    """
+
+    particles: Float[np.ndarray, "n 3"]
+    vertices: Float[np.ndarray, "m 3"] | None
+
+
+def get_positions(particles: Particles, membrane: Membrane | None) -> Positions:
+    """Where everything alive is."""
+    vertices = None
+    if membrane is not None:
+        vertices = get(membrane.vertices)[get(membrane.vertex_alive)]
+    return Positions(get(particles.position)[get(particles.alive)], vertices)
+
+
+def put_positions(
+    particles: Particles, membrane: MembraneOrNone, positions: Positions
+) -> tuple[Particles, MembraneOrNone]:
+    """The same with what may move elsewhere."""
+
+    def placed(own: Array, new: np.ndarray, free: Array) -> Array:
+        there = put(padded(new, own.shape[0]))
+        return jnp.where(free[:, None], there, own)
+
+    moved = placed(particles.position, positions.particles, particles.free)
+    particles = particles.at(moved)
+    if membrane is not None:
+        assert positions.vertices is not None
+        moved = placed(membrane.vertices, positions.vertices, membrane.free)
+        membrane = membrane.at(moved)
+    return particles, membrane
+
+
+def put_membrane(surface: Surface) -> Membrane:
+    """A membrane at rest on the device."""
+    capacity = _vertex_capacity(surface)
+    vertices = put(padded(surface.vertices, capacity))
+    return put_at_rest(vertices, surface)
+
+
+def get_surface(membrane: Membrane) -> Surface:
+    """The live part of the membrane."""
+    alive = get(membrane.vertex_alive)
+    return Surface(
+        vertices=get(membrane.vertices)[alive],
+        faces=get(membrane.faces)[get(membrane.face_alive)].astype(np.int64),
+        fixed=get(membrane.pinned)[alive],
+        source=int(membrane.source),
+    )
+
+
+def put_remeshed(membrane: Membrane, remeshing: Remeshing) -> Membrane:
+    """The membrane after a remeshing, at rest: its springs have their current length.
+
+    Args:
+        membrane: as it was before.
+        remeshing: connectivity afterwards, and the linear maps from the old vertices.
+    """
+    most = max([len(p) for p in remeshing.parents], default=0)
+    old = membrane.vertices.shape[0]
+    capacity = max(_vertex_capacity(remeshing, most), old)
+    vertices = membrane.vertices
+    if capacity > old:
+        more = jnp.zeros((capacity - old, 3), vertices.dtype)
+        vertices = jnp.concatenate([vertices, more])
+    for parents in remeshing.parents:
+        vertices = _average(vertices, put(padded(parents, capacity)))
+    return put_at_rest(vertices, remeshing)
+
+
+_average = jax.jit(average_parents)
+
+
+def _vertex_capacity(mesh: Surface | Remeshing, most: int = 0) -> int:
+    """Room for the vertices, for half as many faces and a third as many edges."""
+    faces = len(mesh.faces)
+    edges = (3 * faces + int(mesh.fixed.sum())) // 2
+    needed = max(len(mesh.fixed), faces // 2 + 1, edges // 3 + 1, most)
+    return capacity_for(needed, 256)
+
+
+@jax.jit
+def _rest(membrane: Membrane) -> dict[str, Float[Array, "k _"]]:
+    return {term.name: term.at_rest(membrane) for term in MEMBRANE_TERMS}
+
+
+def reset_springs(membrane: Membrane) -> Membrane:
+    """Put all springs and hinges at rest where they are.
+
+    Springs are "assigned a new equilibrium length" (paper §4).
+    """
+    return membrane.with_rest(_rest(membrane.with_rest({})))
+
+
+def put_at_rest(
+    vertices: Float[Array, "m 3"], mesh: Surface | Remeshing, *, room: bool = True
+) -> Membrane:
+    """A membrane with these vertices and the connectivity of the mesh.
+
+    Args:
+        vertices: on the device; padding behind those of the mesh.
+        mesh: whose faces, fixed vertices and source the membrane has.
+        room: whether it has rows for twice as many faces and three times as many edges
+            as vertices, or just for those of the mesh.
+    """
+    capacity = vertices.shape[0]
+    topology = build_topology(mesh.faces, len(mesh.fixed))
+    edges = topology.edges
+    faces = len(mesh.faces)
+    most_faces = 2 * capacity if room else faces
+    most_edges = 3 * capacity if room else len(edges)
+    membrane = Membrane(
+        vertices=vertices,
+        faces=put(padded(mesh.faces, most_faces)),
+        edges=put(padded(edges, most_edges)),
+        opposite=put(padded(topology.opposite, most_edges, -1)),
+        rest={},
+        vertex_alive=put(np.arange(capacity) < len(mesh.fixed)),
+        face_alive=put(np.arange(most_faces) < faces),
+        edge_alive=put(np.arange(most_edges) < len(edges)),
+        pinned=put(padded(mesh.fixed, capacity)),
+        source=put(np.asarray(mesh.source)),
+    )
+    return reset_springs(membrane)

@@ -1,0 +1,480 @@
+"""Growth: free clusters keep their density, and a polyp changes only its patch."""
+
+import inspect
+import json
+import warnings
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+
+import jaxgrow as jg
+from jaxgrow.energy.a2 import CUTOFF
+from jaxgrow.energy.parameters import Parameters, UnstableAdhesionWarning
+from jaxgrow.equilibrium.refresh_lists import stale
+from jaxgrow.growth import adaptation
+from jaxgrow.growth.adaptation import adapt_tissue_and_surface, Laws
+from jaxgrow.growth.grow import end_of, grow, STAGNATION
+from jaxgrow.growth.initial_state import plant
+from jaxgrow.growth.lesion import height_above
+from jaxgrow.growth.step import choose_divisions, divide
+from jaxgrow.io.audit import audit
+from jaxgrow.mesh.audit import audit_surface
+from jaxgrow.runtime.results import Result
+from jaxgrow.scene.scene import Myoma, Polyp, Scene
+from jaxgrow.transfer.device import get, get_particles
+
+
+# free clusters
+
+CLUSTER = Scene(organ=None, lesion=Myoma(divisions=299))
+"""All sizes are grown in arrays of 300, and so with the same programs."""
+
+
+def arrays(adhesion):
+    """Parameters as arrays, which are traced: every adhesion uses one program."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UnstableAdhesionWarning)
+        return jax.tree.map(jnp.asarray, Parameters(adhesion=adhesion))
+
+
+def clusters(adhesion, tolerance, sizes, seed=0):
+    """Positions at each size of one growth by the steps of `grow`, all converged."""
+    parameters, rng = arrays(adhesion), np.random.default_rng(seed)
+    state = plant(CLUSTER, parameters, tolerance=tolerance, rng=rng).state
+    lists, found = None, {}
+    for size in range(2, max(sizes) + 1):
+        divisions = choose_divisions(CLUSTER, state, parameters, rng)
+        state = divide(state, divisions, parameters)
+        laws = Laws(parameters, tolerance)
+        nowhere = np.zeros(0, int)
+        adapted = adapt_tissue_and_surface(state, nowhere, laws, lists, colliding=False)
+        state, lists = adapted.state, stale(adapted.relaxation.lists)
+        assert adapted.result is Result.CONVERGED
+        assert adapted.relaxation.stats.residual <= tolerance
+        if size in sizes:
+            found[size] = get_particles(state.particles)[0]
+    return found
+
+
+def gyration(position):
+    return np.sqrt(np.sum((position - position.mean(axis=0)) ** 2, axis=1).mean())
+
+
+def exponent(found):
+    """Slope of log R_g over log N."""
+    size = np.log(list(found))
+    radius = np.log([gyration(position) for position in found.values()])
+    return np.polyfit(size, radius, 1)[0]
+
+
+def nearest(position):
+    return KDTree(position).query(position, k=2)[0][:, 1]
+
+
+@pytest.fixture(scope="module")
+def stable():
+    return clusters(0.2, 1e-3, [25, 50, 100])
+
+
+def test_cluster_at_the_default_adhesion_grows_as_the_cube_root(stable):
+    assert 0.30 < exponent(stable) < 0.37
+    assert gyration(stable[100]) > 1.8
+
+
+def test_cluster_at_the_default_adhesion_keeps_its_particles_apart(stable):
+    assert nearest(stable[100]).min() > 0.75
+    assert np.median(nearest(stable[100])) > 0.9
+
+
+def test_cluster_at_the_default_adhesion_stays_together(stable):
+    assert nearest(stable[100]).max() < 1.5
+
+
+@pytest.mark.slow
+def test_cluster_at_the_printed_adhesion_collapses():
+    found = clusters(1.0, 1e-2, [25, 60])
+    # twice as many particles and more, in hardly more room
+    assert exponent(found) < 0.2
+    assert gyration(found[60]) < 1.1
+    assert nearest(found[60]).min() < 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+def test_cluster_of_300_grows_as_the_cube_root(seed):
+    found = clusters(0.2, 1e-3, [50, 100, 200, 300], seed)
+    assert 0.31 < exponent(found) < 0.36
+    assert nearest(found[300]).min() > 0.7
+
+
+@pytest.mark.slow
+def test_cluster_of_200_at_the_printed_adhesion_has_the_size_of_100():
+    found = clusters(1.0, 1e-2, [100, 200])
+    assert exponent(found) < 0.12
+    for position in found.values():
+        assert gyration(position) == pytest.approx(1.0, abs=0.15)
+        assert nearest(position).min() < 0.5
+        assert np.median(nearest(position)) < 0.5
+
+
+def free(divisions=29, seed=0, **more):
+    parameters = arrays(0.2)
+    return grow(
+        CLUSTER, seed=seed, parameters=parameters, max_divisions=divisions, **more
+    )
+
+
+@pytest.fixture(scope="module")
+def thirty():
+    return free()
+
+
+def test_steps_of_the_loop_are_those_of_grow(thirty):
+    wanted = clusters(0.2, 1e-3, [30])[30]
+    np.testing.assert_array_equal(get_particles(thirty.state.particles)[0], wanted)
+
+
+def test_same_seed_gives_the_same_bits(thirty):
+    again = free()
+    np.testing.assert_array_equal(
+        again.state.particles.position, thirty.state.particles.position
+    )
+    divisions = [event.divisions for event in thirty.events]
+    assert [event.divisions for event in again.events] == divisions
+
+
+def test_another_seed_gives_another_growth(thirty):
+    other = free(seed=1)
+    gap = other.state.particles.position - thirty.state.particles.position
+    assert np.abs(gap).max() > 0.1
+
+
+def test_every_division_has_a_record_with_a_residual_within_tolerance(thirty):
+    assert [r["division"] for r in thirty.history] == list(range(1, 30))
+    assert all(r["result"] == "CONVERGED" for r in thirty.history)
+    assert all(r["residual"] <= thirty.tolerance for r in thirty.history)
+    assert [r["particles"] for r in thirty.history] == list(range(2, 31))
+    assert len(thirty.events) == 29
+
+
+def test_several_divisions_share_an_equilibrium():
+    # nobody divides twice in a step, so at first there are fewer than four
+    lesion = Myoma(divisions=10, particle_mm=1.0, divisions_per_step=4)
+    growth = grow(Scene(organ=None, lesion=lesion))
+    assert [r["division"] for r in growth.history] == [1, 3, 7, 10]
+    assert [r["particles"] for r in growth.history] == [2, 4, 8, 11]
+    assert growth.events.divisions == 10
+    for event in growth.events:
+        parents = [division.parent for division in event.divisions]
+        assert len(set(parents)) == len(parents)
+    slots = [d.slot for event in growth.events for d in event.divisions]
+    assert slots == list(range(1, 11))
+
+
+def test_several_divisions_do_not_exceed_the_limit():
+    lesion = Myoma(size_mm=50.0, particle_mm=1.0, divisions_per_step=4)
+    growth = grow(Scene(organ=None, lesion=lesion), max_divisions=9)
+    assert growth.result is Result.DIVISION_LIMIT
+    assert growth.events.divisions == 9
+
+
+def test_division_limit_is_a_result(thirty):
+    assert thirty.result is Result.DIVISION_LIMIT
+    assert not thirty.result.success
+
+
+def test_divisions_asked_for_are_made(tiny_cluster):
+    assert tiny_cluster.result is Result.REACHED
+    assert len(tiny_cluster.history) == 4
+    assert get(tiny_cluster.state.particles.alive).sum() == 5
+
+
+def test_progress_is_told_after_every_division(tiny_cluster):
+    seen = []
+    again = grow(tiny_cluster.scene, progress=seen.append)
+    assert [p.divisions for p in seen] == [1, 2, 3, 4]
+    assert seen[-1].target_divisions == 4
+    assert seen[-1].target_mm is None
+    assert seen[-1].size_mm == again.size_mm
+    assert seen[-1].residual == again.history[-1]["residual"]
+
+
+def test_relaxation_that_fails_ends_the_growth_with_the_last_equilibrium(
+    monkeypatch, thirty
+):
+    monkeypatch.setattr(adaptation, "ATTEMPTS", ((0.1, 1), (0.025, 1)))
+    ended = free(tolerance=1e-12)
+    assert ended.result is Result.STEP_LIMIT
+    assert len(ended.history) == len(ended.events) + 1 < 5
+    assert ended.history[-1]["result"] == "STEP_LIMIT"
+    assert ended.history[-1]["mended"] == {"retried_after_step_limit": 1}
+    count = int(ended.state.particles.alive.sum())
+    assert count == 1 + len(ended.events)
+
+
+def test_relaxation_that_fails_is_tried_again_with_shorter_steps(monkeypatch, thirty):
+    monkeypatch.setattr(adaptation, "ATTEMPTS", ((0.1, 1), (0.1, 1500)))
+    mended = free()
+    assert mended.result is thirty.result
+    retried = [r["mended"].get("retried_after_step_limit", 0) for r in mended.history]
+    assert sum(retried) > 10
+    # from where the first attempt started, not from where it ended
+    np.testing.assert_array_equal(
+        mended.state.particles.position, thirty.state.particles.position
+    )
+
+
+def test_cluster_that_flies_apart_is_no_equilibrium(monkeypatch):
+    real = adaptation.relax
+
+    def throw(particles, *rest, **more):
+        outcome = real(particles, *rest, **more)
+        far = eqx.tree_at(
+            lambda p: p.position, outcome.state[0], replace_fn=lambda x: 9 * x
+        )
+        return outcome._replace(state=(far, None))
+
+    monkeypatch.setattr(adaptation, "relax", throw)
+    ended = free(divisions=3)
+    assert ended.result is Result.EVAPORATED
+    assert len(ended.events) == 0
+    assert ended.history[-1]["mended"] == {"retried_after_evaporated": 1}
+
+
+@pytest.mark.parametrize(
+    "factor, apart", [(1.0, False), (1.15, False), (1.4, True), (4.0, True)]
+)
+def test_particles_that_fly_apart_are_noticed(thirty, factor, apart):
+    """A jump of the radius of gyration, though everybody keeps a neighbour to 1.5."""
+    before = thirty.state.particles
+    after = eqx.tree_at(lambda p: p.position, before, factor * before.position)
+    nearest_after = nearest(get_particles(after)[0])
+    assert (nearest_after.max() < 1.5) == (factor < 4)
+    assert adaptation._flew_apart(before, after) is apart
+
+
+@pytest.mark.parametrize("moved", [0, 5, 200])
+@pytest.mark.parametrize("scattered", [0, 3, 9, 40])
+def test_particles_that_lost_their_neighbours_are_counted(moved, scattered):
+    rng = np.random.default_rng(0)
+    old = rng.uniform(-4, 4, (400, 3))
+    old[:3] += 50 * np.arange(1, 4)[:, None]  # they have none from the beginning
+    new, chosen = old.copy(), rng.permutation(400)
+    new[chosen[:moved]] += 0.1 * rng.normal(size=(moved, 3))
+    new[chosen[:scattered]] += 30 + 9 * np.arange(scattered)[:, None]
+    alone = [int(np.count_nonzero(nearest(at) >= CUTOFF)) for at in (old, new)]
+    wanted = alone[1] > alone[0] + 0.02 * 400
+    assert adaptation._lost(old, new) is bool(wanted)
+    assert wanted == (scattered > 8)
+
+
+def test_two_that_keep_away_from_each_other_are_apart():
+    old = np.array([[0.0, 0, 0], [1, 0, 0]])
+    assert adaptation._lost(old, 9 * old)
+    assert not adaptation._lost(9 * old, 10 * old)
+
+
+def test_time_limit_is_a_result():
+    ended = free(max_seconds=1e-9)
+    assert ended.result is Result.TIME_LIMIT
+    assert len(ended.events) == 0
+    assert np.isfinite(get_particles(ended.state.particles)[0]).all()
+
+
+@pytest.mark.parametrize("seconds", [0.0, -1.0, np.nan])
+def test_time_limit_that_is_not_positive_is_refused(seconds):
+    with pytest.raises(ValueError, match=r"max_seconds is .*; it must be positive"):
+        free(max_seconds=seconds)
+
+
+def records(sizes, colliding=True, each=1):
+    return [
+        {"division": number * each, "size_mm": size, "colliding": colliding}
+        for number, size in enumerate(sizes, 1)
+    ]
+
+
+def test_cavity_is_full_when_divisions_against_a_wall_hardly_enlarge():
+    scene = Scene(lesion=Polyp(size_mm=10.0))
+    growing, stuck = [float(x) for x in np.linspace(1, 7, 70)], [7.1] * STAGNATION
+    for sizes, colliding, wanted in (
+        (growing, True, Result.CONVERGED),
+        (growing + stuck, True, Result.CAVITY_FULL),
+        (growing + stuck[1:], True, Result.CONVERGED),
+        (growing + stuck, False, Result.CONVERGED),
+        ([*growing, *stuck, 7.3], True, Result.CONVERGED),
+    ):
+        past = records(sizes, colliding)
+        assert end_of(scene, 7.0, len(past), past, 3000) is wanted
+
+
+def test_divisions_against_a_wall_are_counted_not_their_iterations():
+    scene = Scene(lesion=Polyp(size_mm=10.0, divisions_per_step=4))
+    growing, stuck = [float(x) for x in np.linspace(1, 7, 45)], [7.1] * STAGNATION
+    for several, wanted in (
+        (STAGNATION // 4, Result.CAVITY_FULL),
+        (STAGNATION // 4 - 1, Result.CONVERGED),
+    ):
+        past = records([*growing, *stuck[:several]], each=4)
+        assert end_of(scene, 7.0, 4 * len(past), past, 3000) is wanted
+
+
+def test_divisions_asked_for_are_not_a_size():
+    scene = Scene(lesion=Polyp(divisions=500))
+    past = records([7.0] * 200)
+    assert end_of(scene, 7.0, len(past), past, 3000) is Result.CONVERGED
+
+
+@pytest.mark.parametrize("name", ["merged", "surface", "mesh"])
+def test_free_cluster_has_no_surface(tiny_cluster, name):
+    with pytest.raises(ValueError, match="grew without an organ"):
+        getattr(tiny_cluster, name)()
+
+
+# in an organ
+
+
+def test_everything_outside_of_the_patch_is_bit_identical(tiny_polyp):
+    organ, patch = tiny_polyp.organ, tiny_polyp.ground.patch
+    vertices, _, _ = tiny_polyp.surface()
+    outside = np.setdiff1d(np.arange(len(organ.vertices)), patch.organ_index)
+    kept = {tuple(row) for row in vertices}
+    assert len(outside) > 100
+    assert {tuple(row) for row in organ.vertices[outside]} <= kept
+
+
+def test_rim_is_bit_identical(tiny_polyp):
+    patch = tiny_polyp.ground.patch
+    vertices, _, _ = tiny_polyp.surface()
+    kept = {tuple(row) for row in vertices}
+    rim = tiny_polyp.organ.vertices[patch.organ_index[patch.rim]]
+    assert len(rim) > 10
+    assert {tuple(row) for row in rim} <= kept
+
+
+def test_rim_of_the_membrane_has_not_moved_by_a_bit(tiny_polyp):
+    membrane, patch = tiny_polyp.state.membrane, tiny_polyp.ground.patch
+    pinned = get(membrane.vertices)[get(membrane.pinned)]
+    start = {tuple(row) for row in patch.vertices[patch.rim]}
+    assert start <= {tuple(row) for row in pinned}
+
+
+def test_euler_number_is_kept(tiny_polyp):
+    organ = tiny_polyp.organ
+    vertices, faces, _ = tiny_polyp.surface()
+    before = audit_surface(organ.vertices, organ.faces)
+    after = audit_surface(vertices, faces)
+    assert after.euler_number == before.euler_number
+    assert after.components == 1
+
+
+def test_every_division_of_a_polyp_converges(tiny_polyp):
+    assert tiny_polyp.result is Result.REACHED
+    assert [r["result"] for r in tiny_polyp.history] == ["CONVERGED"] * 3
+    assert all(r["residual"] <= tiny_polyp.tolerance for r in tiny_polyp.history)
+    assert [r["tumour"] for r in tiny_polyp.history] == [1, 2, 3]
+
+
+def test_labels_are_near_the_lesion_only(tiny_polyp):
+    vertices, _, label = tiny_polyp.surface()
+    far = np.linalg.norm(vertices - tiny_polyp.site.point, axis=1)
+    reach = 3 * tiny_polyp.scene.r0_mm
+    assert 1 <= label.sum() < 60
+    assert far[label == 1].max() < reach
+    assert set(np.unique(label)) == {0, 1}
+
+
+def test_source_is_the_same_vertex_through_every_remeshing(tiny_polyp):
+    source = tiny_polyp.events[0].remeshing.source
+    for event in tiny_polyp.events[1:]:
+        assert event.remeshing.origin()[event.remeshing.source] == source
+        source = event.remeshing.source
+    membrane = tiny_polyp.state.membrane
+    assert int(membrane.source) == source
+    assert get(membrane.vertex_alive)[source]
+    assert not get(membrane.pinned)[source]
+
+
+@pytest.mark.slow
+def test_source_is_at_the_tip_of_a_polyp():
+    growth = grow(Scene(lesion=Polyp(divisions=40)))
+    assert growth.result is Result.REACHED
+    membrane = growth.state.membrane
+    alive = get(membrane.vertex_alive)
+    former = growth.state.frame.former
+    height = height_above(
+        get(membrane.vertices)[alive], get(former.vertices), get(former.faces)
+    )
+    highest = height.max()
+    assert highest > 1.5
+    assert height[int(membrane.source)] > highest - 1
+    assert audit(growth).clean
+
+
+def test_mesh_carries_the_labels(tiny_polyp):
+    mesh = tiny_polyp.mesh()
+    vertices, faces, label = tiny_polyp.surface()
+    np.testing.assert_array_equal(mesh.vertices, vertices)
+    np.testing.assert_array_equal(mesh.faces, faces)
+    np.testing.assert_array_equal(mesh.vertex_attributes["label"], label)
+
+
+def test_springs_are_at_rest_after_each_step(tiny_polyp):
+    membrane = tiny_polyp.state.membrane
+    alive = get(membrane.edge_alive)
+    start, end = get(membrane.vertices)[get(membrane.edges)[alive].T]
+    np.testing.assert_allclose(
+        get(membrane.rest_length)[alive],
+        np.linalg.norm(end - start, axis=1),
+        rtol=1e-14,
+    )
+
+
+def test_number_of_compilations_is_reported(tiny_polyp):
+    assert tiny_polyp.compilations >= 0
+    assert set(tiny_polyp.seconds) >= {"plant", "divide", "adapt", "fair"}
+
+
+# refusals
+
+
+def test_tolerance_that_is_not_positive_is_refused():
+    with pytest.raises(ValueError, match=r"tolerance is 0\.0; it must be a positive"):
+        grow(CLUSTER, tolerance=0.0)
+
+
+def test_growth_in_32_bits_is_refused():
+    with jax.enable_x64(False), pytest.raises(ValueError, match="growth needs 64"):
+        inspect.unwrap(grow)(CLUSTER)
+
+
+def test_parameters_by_name_leave_the_others_of_the_kind():
+    scene = jg.Scene(organ=None, lesion=jg.Myoma(divisions=4))
+    some = jg.grow(scene, parameters={"smoothing": 0.12})
+    wanted = {**jg.Myoma.mechanics, "smoothing": 0.12}
+    whole = jg.grow(scene, parameters=jg.Parameters(**wanted))
+    assert wanted["tumour_stiffness"] != jg.Parameters().tumour_stiffness
+    np.testing.assert_array_equal(
+        some.state.particles.position, whole.state.particles.position
+    )
+
+
+def test_unknown_parameter_is_refused_by_name():
+    scene = jg.Scene(organ=None, lesion=jg.Myoma(divisions=4))
+    with pytest.raises(ValueError, match="did you mean spring_stiffness"):
+        jg.grow(scene, parameters={"spring_stifness": 0.1})
+
+
+def test_growth_and_metrics_show_themselves_in_a_line():
+    growth = jg.grow(jg.Scene(organ=None, lesion=jg.Myoma(divisions=4)))
+    assert repr(growth).startswith("Growth(myoma of 2")
+    assert repr(growth).endswith("mm after 4 divisions, seed 0: REACHED)")
+    metrics = jg.shape_metrics(growth.state)
+    row = metrics.as_dict()
+    assert json.loads(json.dumps(row["tumour_diameter_mm"])) > 1
+    assert all(type(value) is float for value in row.values())
+    assert f"tumour_diameter_mm={row['tumour_diameter_mm']:.4g}" in repr(metrics)

@@ -1,0 +1,56 @@
+"""Mistakes in tables that may be of several kinds; the others are those of scenes."""
+
+from typing import Annotated, Literal
+
+import pydantic
+import pytest
+
+from jaxgrow.scene.entries import validated
+
+
+class DrawingError(ValueError):
+    pass
+
+
+class Table(pydantic.BaseModel):
+    model_config = pydantic.ConfigDict(extra="forbid")
+
+
+class Circle(Table):
+    kind: Literal["circle"] = "circle"
+    radius: float
+
+
+class Box(Table):
+    kind: Literal["box"] = "box"
+    width: float
+
+
+class Drawing(Table):
+    shape: Annotated[Circle | Box, pydantic.Field(discriminator="kind")]
+
+
+@pytest.mark.parametrize(
+    "shape, sentence",
+    [
+        ({"kind": "box"}, "shape.width is missing"),
+        ({"kind": "box", "width": "a"}, "shape.width is 'a': input should be"),
+        (
+            {"kind": "box", "width": 1, "radius": 1},
+            "shape.radius is unknown; known are kind, width",
+        ),
+        (
+            {"kind": "box", "width": 1, "box": 1},
+            "shape.box is unknown; known are kind, width",
+        ),
+    ],
+)
+def test_mistake_is_told_by_the_fields_of_the_kind(shape, sentence):
+    with pytest.raises(DrawingError, match=sentence):
+        validated(Drawing, {"shape": shape}, source="here", error=DrawingError)
+
+
+def test_entry_named_like_a_kind_is_unknown():
+    entries = {"shape": {"kind": "box", "width": 1}, "box": 1}
+    with pytest.raises(DrawingError, match="here: box is unknown; known are shape"):
+        validated(Drawing, entries, source="here", error=DrawingError)
