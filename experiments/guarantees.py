@@ -266,9 +266,9 @@ def cost(options: argparse.Namespace) -> dict[str, Any]:
             shape = jg.shape_metrics(growth.state)
             row = {
                 "seconds": spent,
-                "steps": sum(r["steps"] for r in growth.history),
+                "steps": sum(r.steps for r in growth.history),
                 "divisions": growth.events.divisions,
-                "colliding": sum(bool(r["colliding"]) for r in growth.history),
+                "colliding": sum(bool(r.colliding) for r in growth.history),
                 "height_mm": float(shape.height_mm),
                 **{f"{n}_s": s for n, s in growth.seconds.items()},
             }
@@ -309,7 +309,7 @@ def pictured(name: str, scene: jg.Scene) -> dict[str, Any]:
         "defects": report["audit"]["defects"],
         "quality_min": report["audit"]["surface"]["quality_min"],
         "colliding_from": next(
-            (r["division"] for r in growth.history if r["colliding"]), None
+            (r.division for r in growth.history if r.colliding), None
         ),
         "seconds": sum(growth.seconds.values()),
     }

@@ -19,14 +19,20 @@ from .equilibrium.linear_response import (
     LinearResponse as LinearResponse,
 )
 from .equilibrium.relax import relax as relax, Relaxation as Relaxation
-from .growth.grow import grow as grow
-from .growth.result import Growth as Growth, Progress as Progress
+from .growth.grow import grow as grow, GrowthInterrupted as GrowthInterrupted
+from .growth.history import StepRecord as StepRecord
+from .growth.progress import Progress as Progress
+from .growth.result import Growth as Growth
 from .io.audit import Audit as Audit, audit as audit
 from .io.run_folder import (
     audit_run as audit_run,
     read_run as read_run,
     write_run as write_run,
 )
+from .lesions.division import Division as Division
+from .lesions.lesion import Lesion as Lesion
+from .lesions.myoma import Myoma as Myoma
+from .lesions.polyp import Polyp as Polyp
 from .metrics import shape_metrics as shape_metrics
 from .organ.loading import load_organ as load_organ
 from .organ.organ import Organ as Organ
@@ -34,6 +40,7 @@ from .organ.uterus import uterus as uterus
 from .organ.validity import OrganError as OrganError
 from .render import render_growth as render_growth, render_surface as render_surface
 from .runtime.compile_cache import keep_programs as keep_programs
+from .runtime.entries import SceneError as SceneError
 from .runtime.results import Result as Result
 from .runtime.slow_path import (
     SlowPathWarning as SlowPathWarning,
@@ -42,10 +49,8 @@ from .runtime.slow_path import (
 from .scene.scene import (
     load_scene as load_scene,
     make_scene as make_scene,
-    Myoma as Myoma,
-    Polyp as Polyp,
+    register_lesion as register_lesion,
     Scene as Scene,
-    SceneError as SceneError,
     Surroundings as Surroundings,
 )
 from .state import (

@@ -49,7 +49,8 @@ def key():
 def tiny_polyp():
     """A polyp of three divisions in the built-in uterus."""
     from jaxgrow.growth.grow import grow
-    from jaxgrow.scene.scene import Polyp, Scene
+    from jaxgrow.lesions.polyp import Polyp
+    from jaxgrow.scene.scene import Scene
 
     return grow(Scene(lesion=Polyp(divisions=3)))
 
@@ -58,6 +59,7 @@ def tiny_polyp():
 def tiny_cluster():
     """A cluster of five particles that grew freely."""
     from jaxgrow.growth.grow import grow
-    from jaxgrow.scene.scene import Myoma, Scene
+    from jaxgrow.lesions.myoma import Myoma
+    from jaxgrow.scene.scene import Scene
 
     return grow(Scene(organ=None, lesion=Myoma(divisions=4)))

@@ -138,13 +138,13 @@ def of_growth(growth: jg.Growth, **figures: Any) -> Found:
         # of the patch: an organ's own triangles elsewhere are not our doing
         surface = get_surface(growth.state.membrane)
         quality = float(radius_ratio(surface.vertices[surface.faces]).min())
-    accepted = [r["residual"] for r in growth.history if r["result"] == "CONVERGED"]
+    accepted = [r.residual for r in growth.history if r.result == "CONVERGED"]
     mended: dict[str, int] = {}
     for record in growth.history:
         for name, count in record.get("mended", {}).items():
             mended[name] = mended.get(name, 0) + count
-    if growth.history and growth.history[-1]["result"] != "CONVERGED":
-        figures["residual_of_the_last"] = growth.history[-1]["residual"]
+    if growth.history and growth.history[-1].result != "CONVERGED":
+        figures["residual_of_the_last"] = growth.history[-1].residual
     figures = {
         "divisions": growth.events.divisions,
         "size_mm": round(growth.size_mm, 2),
@@ -153,7 +153,7 @@ def of_growth(growth: jg.Growth, **figures: Any) -> Found:
     }
     return Found(
         outcome=growth.result.name,
-        steps=sum(record["steps"] for record in growth.history),
+        steps=sum(record.steps for record in growth.history),
         residual=max(accepted, default=None),
         penetrations=penetrations,
         intersections=intersections,

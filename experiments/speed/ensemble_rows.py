@@ -72,7 +72,7 @@ def divisions_per_step(options: Options) -> Iterator[Row]:
                 },
                 "steps_of_relaxation": {
                     name: statistics.median(
-                        sum(record["steps"] for record in growth.history)
+                        sum(record.steps for record in growth.history)
                         for growth in growths
                     )
                     for name, growths in measured.outcomes.items()

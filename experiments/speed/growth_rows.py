@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 import jaxgrow as jg
-from jaxgrow.growth.division import Division
+from jaxgrow.lesions.division import Division
 from jaxgrow.transfer.device import get, get_particles
 
 from .errors import errors_of, gyration
@@ -122,8 +122,8 @@ def grow_free(count: int, options: Options) -> Iterator[Row]:
     growth = ends["jaxgrow"]
     ends["jaxgrow"] = Grown(
         get_particles(growth.state.particles)[0],
-        max(record["residual"] for record in growth.history),
-        sum(record["steps"] for record in growth.history),
+        max(record.residual for record in growth.history),
+        sum(record.steps for record in growth.history),
     )
     shared: dict[str, Any] = {
         "errors": {

@@ -17,8 +17,10 @@ import numpy as np
 import trimesh
 
 import jaxgrow as jg
-from jaxgrow.growth.initial_state import plant
-from jaxgrow.growth.step import first_step, iterate
+from jaxgrow.growth.choices import Drawn
+from jaxgrow.growth.initial_state import make_initial_state
+from jaxgrow.growth.setup import Setup
+from jaxgrow.growth.step import grow_step
 from jaxgrow.runtime.timer import Clock
 from jaxgrow.transfer.device import get
 
@@ -117,7 +119,7 @@ def facts(growth: jg.Growth) -> dict[str, Any]:
         "height_mm": float(jg.shape_metrics(growth.state).height_mm),
         "particles": int(get(growth.state.particles.alive).sum()),
         "vertices": int(get(membrane.vertex_alive).sum()),
-        "steps": sum(record["steps"] for record in growth.history),
+        "steps": sum(record.steps for record in growth.history),
         "mended": growth.mended,
         "audit_clean": audit.clean,
         "defects": audit.defects,
@@ -171,7 +173,7 @@ def lesion(
         seconds=measured.seconds,
         cpu_seconds=measured.cpu_seconds,
         errors={
-            "largest_residual": max(record["residual"] for record in growth.history),
+            "largest_residual": max(record.residual for record in growth.history),
             "defects": sum(jg.audit(growth).defects.values()),
         },
         details={
@@ -201,27 +203,20 @@ class Divisions:
     """One division in a scene, made again and again from the planted start."""
 
     def __init__(self, scene: jg.Scene) -> None:
-        self.scene = scene
         start = time.perf_counter()
         rng = np.random.default_rng(0)
-        self.planted = plant(
-            self.scene, self.scene.parameters, tolerance=TOLERANCE, rng=rng
-        )
+        self._setup = Setup(scene, scene.parameters, TOLERANCE)
+        self.planted = make_initial_state(self._setup, rng)
         self.seconds_of_planting = time.perf_counter() - start
         self._clock = Clock()
 
     def __call__(self, repetition: int) -> tuple[Any, dict[str, float]]:
         """The division of a repetition, and its seconds by phase."""
         self._clock.lap()
-        made = iterate(
-            self.scene,
-            first_step(self.planted),
-            self.scene.parameters,
-            TOLERANCE,
-            np.random.default_rng(repetition),
-            self._clock,
-        )
-        jax.block_until_ready(made.step.state)
+        drawn = Drawn(np.random.default_rng(repetition))
+        start = self.planted.growth_state()
+        made = grow_step(self._setup, start, drawn, self._clock, 1)
+        jax.block_until_ready(made.now.state)
         return made, self._clock.lap()
 
 
@@ -241,8 +236,8 @@ def organ_1e5(options: Options) -> Iterator[Row]:
     made, by_phase = measured.outcomes["jaxgrow"][-1]
     assert made.settled is not None
     assert divide.planted.outcome is not None
-    stats = made.settled.adapted.relaxation.stats
-    state = made.step.state
+    stats = made.settled.found.relaxation.stats
+    state = made.now.state
     fresh = grown("organ", tissue, options)
     yield Row(
         f"organ-{tissue}",

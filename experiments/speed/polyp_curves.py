@@ -18,7 +18,7 @@ import jaxgrow as jg
 from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.refresh_lists import allocate_lists
 from jaxgrow.equilibrium.relax import Method
-from jaxgrow.growth.step import choose_divisions, divide
+from jaxgrow.growth.step import divide
 from jaxgrow.io.report import named
 from jaxgrow.transfer.device import get
 
@@ -183,9 +183,10 @@ def polyp_tolerance(options: Options) -> Iterator[dict[str, Any]]:
     growth = grown_polyp(DIVISIONS[0 if options.quick else 1])
     parameters = growth.scene.parameters
     rng = np.random.default_rng(0)
-    divisions = choose_divisions(growth.scene, growth.state, parameters, rng)
+    lesion = growth.scene.lesion
+    divisions = lesion.choose(growth.state, parameters, rng, 1)
     assert divisions is not None
-    start = divide(growth.state, divisions, parameters)
+    start = divide(lesion, growth.state, divisions, parameters)
     settings = {
         f"{method} {tolerance:g}": Setting(f"jaxgrow {method}", tolerance)
         for method in METHODS

@@ -28,7 +28,7 @@ from pydantic_core import PydanticCustomError
 
 from jaxgrow.energy.parameters import Parameters
 from jaxgrow.metrics import ShapeMetrics
-from jaxgrow.scene.entries import check_names, Positive, read_toml, validated
+from jaxgrow.runtime.entries import check_names, Positive, read_toml, validated
 
 
 Finite: TypeAlias = Annotated[float, pydantic.Field(allow_inf_nan=False)]

@@ -39,11 +39,6 @@ app = typer.Typer(
 )
 
 
-class _Kind(enum.StrEnum):
-    polyp = "polyp"
-    myoma = "myoma"
-
-
 class _Tissue(enum.StrEnum):
     outside = "outside"
     inside = "inside"
@@ -136,7 +131,9 @@ def grow(
             metavar="FILE|uterus", help="OBJ, PLY, STL, GLB or OFF; default: uterus."
         ),
     ] = None,
-    lesion: Annotated[_Kind | None, typer.Option(help="Default: polyp.")] = None,
+    lesion: Annotated[
+        str | None, typer.Option(metavar="polyp|myoma", help="Default: polyp.")
+    ] = None,
     site: Annotated[
         str | None,
         typer.Option(metavar="NAME|X,Y,Z", help="In mm; default: fundus."),
@@ -188,7 +185,7 @@ def grow(
         "organ": organ,
         "unit_mm": unit_mm,
         "tissue": tissue and tissue.value,
-        "lesion": {"kind": lesion and lesion.value, "size_mm": size_mm, "site": site},
+        "lesion": {"kind": lesion, "size_mm": size_mm, "site": site},
     }
     started = time.perf_counter()
     with _refusals(), ProgressDisplay(Console(stderr=True)) as display:
@@ -317,7 +314,7 @@ def combine(path: Path | None, wanted: dict[str, Any]) -> "Scene":
         path: the scene file, or None.
         wanted: entries as a scene file has them; None where there is no option.
     """
-    from jaxgrow.scene.scene import make_scene, Myoma, Polyp, read_entries
+    from jaxgrow.scene.scene import LESIONS, make_scene, read_entries
 
     entries = {} if path is None else read_entries(path)
     chosen = {name: value for name, value in wanted.items() if value is not None}
@@ -325,7 +322,7 @@ def combine(path: Path | None, wanted: dict[str, Any]) -> "Scene":
     before = entries.get("lesion", {})
     kind = lesion.get("kind", before.get("kind", "polyp"))
     if kind != before.get("kind", "polyp"):
-        known = (Myoma if kind == "myoma" else Polyp).model_fields
+        known = LESIONS[kind].model_fields if kind in LESIONS else before
         before = {name: value for name, value in before.items() if name in known}
     if "size_mm" in lesion:
         before.pop("divisions", None)

@@ -11,7 +11,7 @@ from rich.progress import BarColumn, Progress as Bar, SpinnerColumn, TextColumn
 
 
 if TYPE_CHECKING:
-    from jaxgrow.growth.result import Progress
+    from jaxgrow.growth.progress import Progress
 
 
 PREPARING = "preparing the tissue"

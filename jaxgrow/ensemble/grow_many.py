@@ -15,8 +15,8 @@ import jax
 from jaxgrow.energy.parameters import Parameters
 from jaxgrow.ensemble.worker_pool import borrow, give_back, quiet
 from jaxgrow.equilibrium.transformations import is_differentiated
+from jaxgrow.growth.events import numbers
 from jaxgrow.growth.grow import grow
-from jaxgrow.growth.replay import numbers
 from jaxgrow.growth.result import Growth
 from jaxgrow.scene.scene import Scene
 

@@ -10,22 +10,20 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
 from jaxgrow import kernels
 from jaxgrow.energy.a2 import CUTOFF
-from jaxgrow.energy.parameters import Parameters
-from jaxgrow.equilibrium.lists import Lists
-from jaxgrow.equilibrium.problem import ExtraTerms, LARGEST_STEP
+from jaxgrow.equilibrium.problem import LARGEST_STEP
 from jaxgrow.equilibrium.relax import relax, Relaxation
 from jaxgrow.growth.collision_broad_phase import CollisionFinder
-from jaxgrow.mesh.collision_mesh import Walls
+from jaxgrow.growth.setup import GrowthState, Setup
 from jaxgrow.neighbors.verlet_list import FEW
 from jaxgrow.neighbors.within_radius import near_seeds
 from jaxgrow.runtime.results import Result
 from jaxgrow.state import Particles, State
-from jaxgrow.transfer.device import get
+from jaxgrow.transfer.device import get, Positions, put_positions
 
 
 ATTEMPTS = ((LARGEST_STEP, 1500), (LARGEST_STEP / 4, 4000))
@@ -33,28 +31,8 @@ ATTEMPTS = ((LARGEST_STEP, 1500), (LARGEST_STEP / 4, 4000))
 
 
 @dataclass(frozen=True, eq=False)
-class Laws:
-    """What all equilibria of a growth have in common.
-
-    Attributes:
-        parameters: of the energy.
-        tolerance: largest force left, in F(0).
-        collisions: whether sheets of the surface repel each other: "on", "off", or
-            "auto" for as soon as they meet.
-        walls: the rest of the organ; None without one.
-        terms: of the energy, besides those of jaxgrow.
-    """
-
-    parameters: Parameters
-    tolerance: float
-    collisions: str = "auto"
-    walls: Walls | None = None
-    terms: ExtraTerms = ()
-
-
-@dataclass(frozen=True, eq=False)
-class Adapted:
-    """Outcome of `adapt_tissue_and_surface`.
+class EquilibrationResult:
+    """Outcome of `equilibrate`.
 
     Attributes:
         state: the equilibrium, if the result is CONVERGED.
@@ -71,29 +49,19 @@ class Adapted:
     mended: dict[str, int] = field(default_factory=dict)
 
 
-def adapt_tissue_and_surface(
-    state: State,
-    organ_index: Int[np.ndarray, " m"],
-    laws: Laws,
-    lists: Lists | None,
-    *,
-    colliding: bool,
-) -> Adapted:
-    """2. and 3. Adapt tissues and surface: their common equilibrium.
+def equilibrate(
+    setup: Setup, now: GrowthState, *, colliding: bool
+) -> EquilibrationResult:
+    """2. and 3. Adapt tissues and surface: find their common equilibrium.
 
     Args:
-        state: after a division; the springs were reset in it.
-        organ_index: of each vertex alive the organ's vertex that it is, or -1.
-        laws: energy and tolerance.
-        lists: of an earlier relaxation.
+        setup: of the growth.
+        now: after a division; its springs were reset.
         colliding: whether sheets have met before.
     """
-    finder = None
-    if state.membrane is not None and laws.collisions != "off":
-        finder = CollisionFinder.of(
-            state.membrane, organ_index, laws.walls, laws.parameters
-        )
-    colliding = finder is not None and (colliding or laws.collisions == "on")
+    state, lists, mode = now.state, now.lists, setup.scene.surroundings.collisions
+    finder = collision_finder(setup, now) if mode != "off" else None
+    colliding = finder is not None and (colliding or mode == "on")
     mended: dict[str, int] = {}
     attempts = list(ATTEMPTS)
     while True:
@@ -101,13 +69,13 @@ def adapt_tissue_and_surface(
         relaxation = relax(
             state.particles,
             state.membrane,
-            parameters=laws.parameters,
-            tolerance=laws.tolerance,
+            parameters=setup.parameters,
+            tolerance=setup.tolerance,
             max_steps=max_steps,
             largest_step=largest,
             lists=lists,
             collide=finder if colliding else None,
-            terms=laws.terms,
+            terms=setup.terms,
         )
         if relaxation.stats.overflows:
             count = mended.get("overflows", 0) + relaxation.stats.overflows
@@ -126,10 +94,44 @@ def adapt_tissue_and_surface(
                 mended["collisions_joined"] = 1
                 continue
         if converged or not attempts:
-            adapted = State(particles, membrane, state.frame)
-            return Adapted(adapted, result, relaxation, colliding, mended)
+            found = State(particles, membrane, state.frame)
+            return EquilibrationResult(found, result, relaxation, colliding, mended)
         name = f"retried_after_{result.name.lower()}"
         mended[name] = mended.get(name, 0) + 1
+
+
+def collision_finder(setup: Setup, now: GrowthState) -> CollisionFinder | None:
+    """Return what finds sheets that may meet; None without a membrane."""
+    membrane = now.state.membrane
+    if membrane is None:
+        return None
+    return CollisionFinder.of(membrane, now.organ_index, now.walls, setup.parameters)
+
+
+def equilibrate_from(
+    setup: Setup, now: GrowthState, start: Positions, *, colliding: bool
+) -> EquilibrationResult:
+    """Find the equilibrium whose basin a recorded one is in.
+
+    Args:
+        setup: of the growth.
+        now: after the recorded division or enlargement.
+        start: the recorded equilibrium.
+        colliding: whether the collision energy was part of it.
+    """
+    state = now.state
+    relaxation = relax(
+        *put_positions(state.particles, state.membrane, start),
+        parameters=setup.parameters,
+        tolerance=setup.tolerance,
+        lists=now.lists,
+        collide=collision_finder(setup, now) if colliding else None,
+        terms=setup.terms,
+    )
+    particles, membrane = relaxation.state
+    assert particles is not None
+    found = State(particles, membrane, state.frame)
+    return EquilibrationResult(found, relaxation.result, relaxation, colliding)
 
 
 def _alone(points: Float[np.ndarray, "n 3"]) -> int:

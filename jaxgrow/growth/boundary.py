@@ -23,7 +23,7 @@ from jaxgrow.state import Particles, Species
 from jaxgrow.transfer.device import get
 
 
-FELT = 0.3
+FORCE_CHANGE_LIMIT = 0.3
 """Change of the force on a held particle, in F(0), above which a patch is too small.
 
 Rearrangements in random tissue change such forces by 0.1 to 0.17 in every growth.
@@ -33,15 +33,16 @@ Under a stiff membrane they are larger from the beginning; there the bound is
 
 SHARE = 0.5
 
-AGAINST = 0.58
-"""Distance of a tumour particle to what is held, in r0, where a pair repels by `FELT`.
+CONTACT_DISTANCE = 0.58
+"""Distance of a tumour particle to what is held, in r0, where a pair repels by
+`FORCE_CHANGE_LIMIT`.
 
 In tissue of the default density neighbours are 0.8 to 0.9 apart.
 """
 
 
 @dataclass(frozen=True, eq=False)
-class Border:
+class BoundaryReaction:
     """What is held around a patch.
 
     Attributes:
@@ -55,7 +56,7 @@ class Border:
     force: Float[np.ndarray, "h 3"]
 
 
-class Feeling(NamedTuple):
+class BoundaryCheck(NamedTuple):
     """How a border feels the lesion.
 
     Attributes:
@@ -73,7 +74,7 @@ class Feeling(NamedTuple):
     crossed: int = 0
 
 
-class Beside(NamedTuple):
+class EscapedParticles(NamedTuple):
     """Free particles that have left the room under a patch.
 
     Attributes:
@@ -85,23 +86,26 @@ class Beside(NamedTuple):
     crossed: int = 0
 
 
-def border_of(relaxation: Relaxation) -> Border:
+def boundary_reaction(relaxation: Relaxation) -> BoundaryReaction:
     """The border after the relaxation of a patch, particles and membrane."""
     particles, membrane = relaxation.state
     assert particles is not None
     assert membrane is not None
     assert relaxation.forces.particles is not None
     held = get(particles.alive & particles.held)
-    return Border(
+    return BoundaryReaction(
         rim=get(membrane.vertices)[get(membrane.pinned & membrane.vertex_alive)],
         held=get(particles.position)[held],
         force=get(relaxation.forces.particles)[held],
     )
 
 
-def feeling(
-    border: Border, before: Border, particles: Particles, beside: Beside
-) -> Feeling:
+def check_reaction(
+    border: BoundaryReaction,
+    before: BoundaryReaction,
+    particles: Particles,
+    beside: EscapedParticles,
+) -> BoundaryCheck:
     """Whether a border feels the lesion.
 
     Args:
@@ -111,7 +115,7 @@ def feeling(
         beside: free particles that are beside the patch.
     """
     change = lengths(border.force - before.force)
-    bound = max(FELT, SHARE * lengths(before.force).max(initial=0.0))
+    bound = max(FORCE_CHANGE_LIMIT, SHARE * lengths(before.force).max(initial=0.0))
     force = float(change.max(initial=0.0))
     position, alive = get(particles.position), get(particles.alive)
     tumour = position[alive & (get(particles.species) == Species.TUMOUR)]
@@ -125,14 +129,14 @@ def feeling(
         place = beside.position[0]
     elif force > bound:
         place = border.held[change.argmax()]
-    elif nearest < AGAINST:
+    elif nearest < CONTACT_DISTANCE:
         place = places[distance.argmin()]
-    return Feeling(force, nearest, place, beside.crossed)
+    return BoundaryCheck(force, nearest, place, beside.crossed)
 
 
-def beside_patch(
+def find_escaped(
     particles: Particles, surface: Surface, walls: Walls, reach: float
-) -> Beside:
+) -> EscapedParticles:
     """Free particles whose nearest surface is a wall, within a distance of it.
 
     What lies under the membrane has the membrane nearer than any wall behind it.
@@ -143,7 +147,7 @@ def beside_patch(
         walls: the rest of the organ.
         reach: distance in r0 at which a particle would touch a membrane.
     """
-    nothing = Beside(np.zeros((0, 3)))
+    nothing = EscapedParticles(np.zeros((0, 3)))
     points = get(particles.position)[get(particles.free)]
     chosen = walls.near(points, reach)
     if not len(chosen):
@@ -163,4 +167,4 @@ def beside_patch(
     above = np.einsum("ni,ni->n", points - foot, normal) >= 0
     # the foremost ones first
     order = np.argsort(to_wall[out], kind="stable")
-    return Beside(points[out][order], int(np.count_nonzero(out & above)))
+    return EscapedParticles(points[out][order], int(np.count_nonzero(out & above)))

@@ -10,16 +10,25 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, overload
 
+import jax
+
 from jaxgrow.energy.parameters import Parameters
-from jaxgrow.growth.division import Division
-from jaxgrow.growth.initial_state import Ground, Layout
+from jaxgrow.growth.ground import Ground, Layout
+from jaxgrow.growth.setup import Setup
+from jaxgrow.lesions.division import Division
 from jaxgrow.mesh.surface import Remeshing
 from jaxgrow.organ import Enlargement
 from jaxgrow.runtime.results import Result
-from jaxgrow.transfer.device import Positions
+from jaxgrow.scene.scene import Scene
+from jaxgrow.transfer.device import get_number, Positions
 
 
-class Settling(NamedTuple):
+def numbers(parameters: Parameters) -> Parameters:
+    """Return the parameters as numbers, without derivatives."""
+    return jax.tree.map(get_number, parameters)
+
+
+class EquilibriumRecord(NamedTuple):
     """One equilibrium, and the fairing after it.
 
     Attributes:
@@ -33,18 +42,18 @@ class Settling(NamedTuple):
     remeshing: Remeshing | None
 
 
-class Widening(NamedTuple):
+class PatchEnlargement(NamedTuple):
     """An enlargement of the patch.
 
     Attributes:
         ground: with the larger patch.
         enlargement: what was taken in.
-        settling: after it.
+        equilibrium: after it.
     """
 
     ground: Ground
     enlargement: Enlargement
-    settling: Settling
+    equilibrium: EquilibriumRecord
 
 
 class Event(NamedTuple):
@@ -52,13 +61,13 @@ class Event(NamedTuple):
 
     Attributes:
         divisions: who divided, and where to; one, or as many as the scene asks for.
-        settling: the equilibrium and the fairing.
-        widenings: of the patch after it, mostly none.
+        equilibrium: after them, with the fairing.
+        enlargements: of the patch after it, mostly none.
     """
 
     divisions: tuple[Division, ...]
-    settling: Settling
-    widenings: tuple[Widening, ...] = ()
+    equilibrium: EquilibriumRecord
+    enlargements: tuple[PatchEnlargement, ...] = ()
 
     @property
     def redirected(self) -> bool:
@@ -68,21 +77,21 @@ class Event(NamedTuple):
     @property
     def remeshing(self) -> Remeshing | None:
         """What fairing did; None without a membrane."""
-        return self.settling.remeshing
+        return self.equilibrium.remeshing
 
 
-class Start(NamedTuple):
+class InitialRecord(NamedTuple):
     """What a growth starts from.
 
     Attributes:
         layout: of patch and tissue; None for a free cluster.
         positions: once it was relaxed; None for a free cluster.
-        widenings: of the patch before the first division, mostly none.
+        enlargements: of the patch before the first division, mostly none.
     """
 
     layout: Layout | None
     positions: Positions | None
-    widenings: tuple[Widening, ...] = ()
+    enlargements: tuple[PatchEnlargement, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,13 +108,54 @@ class Events(Sequence[Event]):
         result: why it ended.
     """
 
-    start: Start
+    start: InitialRecord
     steps: tuple[Event, ...]
     parameters: Parameters
     tolerance: float
     lesion: str
     particle_mm: float
     result: Result
+
+    @classmethod
+    def of(
+        cls,
+        setup: Setup,
+        start: InitialRecord,
+        steps: tuple[Event, ...],
+        result: Result,
+    ) -> "Events":
+        """Return the choices of a growth, with what it was made with.
+
+        Args:
+            setup: of the growth.
+            start: what came before the first step.
+            steps: the events.
+            result: why it ended.
+        """
+        scene = setup.scene
+        return cls(
+            start,
+            steps,
+            numbers(setup.parameters),
+            setup.tolerance,
+            scene.lesion.kind,
+            scene.r0_mm,
+            result,
+        )
+
+    def check_scene(self, scene: Scene) -> None:
+        """Refuse to be replayed, or gone on with, in another scene.
+
+        Raises:
+            ValueError: kind of lesion or size of particles differ.
+        """
+        kind, r0_mm = scene.lesion.kind, scene.r0_mm
+        if (kind, r0_mm) != (self.lesion, self.particle_mm):
+            raise ValueError(
+                f"the events are those of a {self.lesion} with particles of "
+                f"{self.particle_mm:g} mm, and the scene asks for a {kind} with "
+                f"{r0_mm:g} mm; replay a growth in its own scene."
+            )
 
     @overload
     def __getitem__(self, index: int) -> Event: ...

@@ -1,68 +1,114 @@
-"""What is written about one iteration, and what a progress bar is told."""
+"""The record of each step of a growth, and what a progress bar is told."""
 
+from dataclasses import dataclass, field, fields
 from typing import Any
 
-from jaxgrow.growth.boundary import Feeling
-from jaxgrow.growth.result import Progress
-from jaxgrow.growth.settling import Settled
-from jaxgrow.runtime.timer import Clock
+from jaxgrow.growth.boundary import BoundaryCheck
+from jaxgrow.growth.settling import FairingResult
 from jaxgrow.runtime.types import Scalar
-from jaxgrow.scene.scene import Scene
 from jaxgrow.state import Species, State
-from jaxgrow.transfer.device import get, get_number
+from jaxgrow.transfer.device import get
+
+
+@dataclass(frozen=True, eq=False)
+class StepRecord:
+    """What happened in one step of a growth.
+
+    ``pandas.DataFrame(growth.history)`` makes a table of all records.
+
+    Attributes:
+        division: number of its last division.
+        size_mm: largest diameter of the lesion after it; of all this it alone has a
+            derivative.
+        residual: largest force left, in F(0).
+        steps: of the relaxation.
+        method: that ended the relaxation.
+        result: name of the `Result`: CONVERGED, or why there is no valid state.
+        particles: alive.
+        tumour: particles of it.
+        vertices: of the membrane; None without one, like what follows.
+        faces: of the membrane.
+        colliding: whether the collision energy was part of the equilibrium.
+        quality: least radius ratio of a triangle.
+        operations: of the fairing, by name.
+        border_force: largest change of the force on a held particle, in F(0).
+        border_distance: of the nearest tumour particle to what is held, in r0.
+        mended: what went wrong and was mended, how often, by name.
+        seconds: by phase.
+    """
+
+    division: int
+    size_mm: Scalar
+    residual: float
+    steps: int
+    method: str
+    result: str
+    particles: int
+    tumour: int
+    vertices: int | None = None
+    faces: int | None = None
+    colliding: bool | None = None
+    quality: float | None = None
+    operations: dict[str, int] | None = None
+    border_force: float | None = None
+    border_distance: float | None = None
+    mended: dict[str, int] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the fields by their names, without those that are None."""
+        every = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {name: value for name, value in every.items() if value is not None}
 
 
 def make_record(
-    division: int, size_mm: Scalar, state: State, settled: Settled, clock: Clock
-) -> dict[str, Any]:
-    """The record of an iteration, without what the border of the patch felt.
+    state: State,
+    settled: FairingResult,
+    check: BoundaryCheck | None,
+    *,
+    division: int,
+    size_mm: Scalar,
+    result: str,
+    mended: dict[str, int],
+    seconds: dict[str, float],
+) -> StepRecord:
+    """Make the record of a step.
 
     Args:
-        division: number of its last division.
-        size_mm: of the lesion after it.
         state: after it; the one before it, if it failed.
         settled: how it ended.
-        clock: with the seconds since the last record.
+        check: what the border of the patch felt; None if nobody looked.
+        division: number of its last division.
+        size_mm: of the lesion after it.
+        result: name of the `Result`.
+        mended: besides what was mended in finding the equilibrium.
+        seconds: by phase.
     """
     particles, membrane = state.particles, state.membrane
-    stats = settled.adapted.relaxation.stats
-    alive = get(particles.alive)
-    record: dict[str, Any] = {
-        "division": division,
-        "size_mm": size_mm,
-        "residual": stats.residual,
-        "steps": stats.steps,
-        "method": stats.method,
-        "result": settled.result.name,
-        "particles": int(alive.sum()),
-        "tumour": int((alive & (get(particles.species) == Species.TUMOUR)).sum()),
-    }
+    stats, alive = settled.found.relaxation.stats, get(particles.alive)
+    tumour = alive & (get(particles.species) == Species.TUMOUR)
+    of_membrane: dict[str, Any] = {}
     if membrane is not None:
-        record["vertices"] = int(get(membrane.vertex_alive).sum())
-        record["faces"] = int(get(membrane.face_alive).sum())
-        record["colliding"] = settled.adapted.colliding
-        record["quality"] = settled.quality
-    if settled.remeshing is not None:
-        record["operations"] = dict(settled.remeshing.counts)
-    record["mended"] = settled.mended
-    record["seconds"] = clock.lap()
-    return record
-
-
-def add_feeling(record: dict[str, Any], felt: Feeling | None) -> None:
-    """What the border of the patch felt, if there is one."""
-    if felt is not None:
-        record["border_force"] = felt.force
-        record["border_distance"] = felt.distance
-
-
-def make_progress(scene: Scene, record: dict[str, Any], clock: Clock) -> Progress:
-    """Where a running growth stands."""
-    return Progress(
-        divisions=record["division"],
-        size_mm=get_number(record["size_mm"]),
-        target_mm=scene.lesion.target_mm,
-        target_divisions=scene.lesion.divisions,
-        residual=record["residual"],
-        seconds=clock.elapsed,
+        of_membrane = {
+            "vertices": int(get(membrane.vertex_alive).sum()),
+            "faces": int(get(membrane.face_alive).sum()),
+            "colliding": settled.found.colliding,
+            "quality": settled.quality,
+        }
+    remeshing = settled.remeshing
+    return StepRecord(
+        division=division,
+        size_mm=size_mm,
+        residual=stats.residual,
+        steps=stats.steps,
+        method=stats.method,
+        result=result,
+        particles=int(alive.sum()),
+        tumour=int(tumour.sum()),
+        operations=None if remeshing is None else dict(remeshing.counts),
+        border_force=None if check is None else check.force,
+        border_distance=None if check is None else check.distance,
+        mended={**settled.mended, **mended},
+        seconds=seconds,
+        **of_membrane,
     )

@@ -1,18 +1,27 @@
-"""A larger patch under a running growth: what the host chose, put into the state."""
+"""A larger patch under a running growth, where its border feels the lesion."""
 
-import dataclasses
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
-from jaxgrow.growth.initial_state import Ground, HOLD
-from jaxgrow.organ import enlarge, Enlargement, Lining, walls_around
+from jaxgrow.growth.boundary import boundary_reaction
+from jaxgrow.growth.events import PatchEnlargement
+from jaxgrow.growth.ground import Ground
+from jaxgrow.growth.initial_state import meeting_distance
+from jaxgrow.growth.settling import FairingResult, settle, settle_again
+from jaxgrow.growth.setup import GrowthState, quality_bound, Setup
+from jaxgrow.organ import enlarge, Enlargement, Lining, OrganError, walls_around
+from jaxgrow.organ.tissue import HOLD
+from jaxgrow.runtime.results import Result
+from jaxgrow.runtime.timer import Clock
 from jaxgrow.scene.scene import Surroundings
 from jaxgrow.state import FormerSurface, Frame, Particles, Species, State
 from jaxgrow.transfer.device import (
     get,
+    get_number,
     get_surface,
     put,
     put_membrane,
@@ -21,7 +30,11 @@ from jaxgrow.transfer.device import (
 )
 
 
-class Enlarged(NamedTuple):
+WIDER, DEEPER = 2.0, 1.0
+"""By how much radius or thickness of a patch grow when it is enlarged, in r0."""
+
+
+class EnlargedPatch(NamedTuple):
     """A growth on a larger patch.
 
     Attributes:
@@ -49,7 +62,7 @@ def enlarge_ground(
     surroundings: Surroundings,
     contact_range: float,
     rng: np.random.Generator,
-) -> Enlarged:
+) -> EnlargedPatch:
     """Take more of the organ into a growth whose patch is too small.
 
     See `jaxgrow.organ.enlarge`. Relax the result before the next division, with new
@@ -88,18 +101,99 @@ def enlarge_ground(
         hold=HOLD,
         rng=rng,
     )
-    wider = dataclasses.replace(
+    wider = replace(
         ground,
         patch=enlargement.patch,
         walls=walls_around(ground.organ, enlargement.patch, meeting_distance),
         radius=max(radius, ground.radius),
         thickness=thickness,
     )
-    return Enlarged(
+    return EnlargedPatch(
         put_enlarged(state, enlargement),
         wider,
         enlargement.lining.organ_index,
         enlargement,
+    )
+
+
+def enlarge_patch(
+    setup: Setup,
+    now: GrowthState,
+    place: Float[np.ndarray, "3"],
+    rng: np.random.Generator,
+    clock: Clock,
+) -> tuple[GrowthState, PatchEnlargement] | Result:
+    """Enlarge the patch around the same lesion, and find the equilibrium there.
+
+    Args:
+        setup: of the growth.
+        now: where it stands.
+        place: where its border feels the lesion, in r0: near the axis the layer of
+            tissue becomes thicker, elsewhere the patch wider.
+        rng: draws the new tissue.
+        clock: counts the seconds.
+
+    Returns:
+        The state and the record of it, or PATCH_TOO_SMALL if the organ has no more to
+        give, or why the wider patch did not come to equilibrium.
+    """
+    ground, scene = now.ground, setup.scene
+    assert ground is not None
+    below = ground.is_below(place)
+    radius = ground.radius + (0.0 if below else WIDER)
+    try:
+        with clock.phase("enlarge"):
+            wider = enlarge_ground(
+                now.state,
+                ground,
+                now.organ_index,
+                radius=radius,
+                thickness=ground.thickness + (DEEPER if below else 0.0),
+                meeting_distance=meeting_distance(scene, radius),
+                surroundings=scene.surroundings,
+                contact_range=get_number(setup.parameters.contact_range),
+                rng=rng,
+            )
+    except OrganError:
+        return Result.PATCH_TOO_SMALL
+    settled = settle(setup, _placed(now, wider), clock)
+    if settled.result is not Result.CONVERGED:
+        return settled.result
+    border = boundary_reaction(settled.found.relaxation)
+    record = PatchEnlargement(wider.ground, wider.enlargement, settled.record)
+    return replace(settled.now, border=border), record
+
+
+def enlarge_again(
+    setup: Setup, now: GrowthState, record: PatchEnlargement, clock: Clock
+) -> FairingResult:
+    """Make a recorded enlargement of the patch again.
+
+    Args:
+        setup: of the growth.
+        now: where it stands.
+        record: of the enlargement.
+        clock: counts the seconds.
+    """
+    with clock.phase("enlarge"):
+        wider = EnlargedPatch(
+            put_enlarged(now.state, record.enlargement),
+            record.ground,
+            record.enlargement.lining.organ_index,
+            record.enlargement,
+        )
+    return settle_again(setup, _placed(now, wider), record.equilibrium, clock)
+
+
+def _placed(now: GrowthState, wider: EnlargedPatch) -> GrowthState:
+    """Return the growth on a larger patch, not in equilibrium."""
+    return replace(
+        now,
+        state=wider.state,
+        organ_index=wider.organ_index,
+        ground=wider.ground,
+        lists=None,
+        least_quality=min(now.least_quality, quality_bound(wider.state)),
     )
 
 

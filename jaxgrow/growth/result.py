@@ -9,8 +9,11 @@ from jaxtyping import Float, Int, UInt8
 
 from jaxgrow.equilibrium.transformations import check_undifferentiated
 from jaxgrow.growth.events import Events
-from jaxgrow.growth.initial_state import Ground
-from jaxgrow.growth.lesion import lesion_vertices
+from jaxgrow.growth.ground import Ground
+from jaxgrow.growth.history import StepRecord
+from jaxgrow.growth.loop import Reached
+from jaxgrow.growth.setup import Setup
+from jaxgrow.lesions.size import lesion_vertices
 from jaxgrow.organ import merge, Merged, Organ, Site
 from jaxgrow.runtime.descents import Descents
 from jaxgrow.runtime.results import Result
@@ -24,24 +27,18 @@ if TYPE_CHECKING:
     import trimesh
 
 
-class Progress(NamedTuple):
-    """Where a running growth stands, for a progress bar.
+class Continuation(NamedTuple):
+    """What a growth needs to go on.
 
     Attributes:
-        divisions: made so far.
-        size_mm: largest diameter of the lesion now, without a derivative.
-        target_mm: size asked for, or None.
-        target_divisions: divisions asked for, or None.
-        residual: largest force left by the last relaxation, in F(0).
-        seconds: since the start.
+        setup: that it was made with.
+        reached: how far it came.
+        generator: state of its random generator.
     """
 
-    divisions: int
-    size_mm: float
-    target_mm: float | None
-    target_divisions: int | None
-    residual: float
-    seconds: float
+    setup: Setup
+    reached: Reached
+    generator: dict[str, Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,14 +58,15 @@ class Growth:
         size_mm: largest diameter of the lesion; where a derivative is taken it is a
             JAX scalar that carries it, with the two ends of the diameter held fast.
         events: the discrete choices of every step; `jaxgrow.grow` can replay them.
-        history: one record an iteration, with the number of its last division, size,
-            steps, residual, counts, seconds, …; of all this the size alone has a
-            derivative.
+        history: one record a step; a table of them is
+            ``pandas.DataFrame(growth.history)``.
         seconds: by phase.
         compilations: number of programs compiled.
         descents: which path they ran on.
         ground: the organ around it; None for a free cluster.
         organ_index: for each membrane vertex alive the organ's vertex it was, or -1.
+        continuation: what `jaxgrow.grow` needs to go on; None for a replay, and where a
+            derivative was taken.
     """
 
     scene: Scene
@@ -78,7 +76,7 @@ class Growth:
     result: Result
     size_mm: Scalar
     events: Events
-    history: tuple[dict[str, Any], ...]
+    history: tuple[StepRecord, ...]
     seconds: dict[str, float]
     compilations: int
     descents: Descents
@@ -86,6 +84,7 @@ class Growth:
     organ_index: Int[np.ndarray, " m"] = field(
         default_factory=lambda: np.zeros(0, dtype=np.int64)
     )
+    continuation: Continuation | None = None
 
     @property
     def mended(self) -> dict[str, int]:
@@ -98,7 +97,7 @@ class Growth:
         """
         total: Counter[str] = Counter()
         for record in self.history:
-            total.update(record["mended"])
+            total.update(record.mended)
         return dict(total)
 
     @property

@@ -93,7 +93,7 @@ def make_report(
         },
         "outcome": outcome,
         "counts": counts,
-        "history": growth.history,
+        "history": [record.as_dict() for record in growth.history],
         "seconds": growth.seconds,
         "compilations": growth.compilations,
         "loops": growth.descents.entry(),

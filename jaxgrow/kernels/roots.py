@@ -183,16 +183,10 @@ _temporary: list[tempfile.TemporaryDirectory[str]] = []
 """What must live as long as the process."""
 
 
-_LOOPS = (
-    *("closest", "collision", "contact", "frames", "layout", "pair", "regrouped"),
-    *("smooth_minimum", "vicinity"),
-)
-"""Modules of loops that roots are made of."""
-
-
 @functools.cache
 def _digest_of_loops() -> str:
-    return _digest(Path(__file__).parent / f"{name}.py" for name in _LOOPS)
+    """Of the loops that roots are made of: of all, so that none can be forgotten."""
+    return _digest(sorted(Path(__file__).parent.glob("*.py")))
 
 
 @functools.cache
@@ -201,7 +195,7 @@ def _digest_of_energies() -> str:
     from jax import __version__
 
     package = Path(__file__).parent.parent
-    own = (package / name for name in ("numerics.py", "equilibrium/roots.py"))
+    own = (package / name for name in ("numerics/guards.py", "equilibrium/roots.py"))
     printing = (package / f"kernels/{name}.py" for name in ("printer", "roots"))
     energies = sorted((package / "energy").glob("*.py"))
     return _digest([*own, *printing, *energies]) + __version__

@@ -13,6 +13,9 @@ from jaxgrow.organ.organ import Organ, OrganError
 from jaxgrow.organ.patch import Patch
 
 
+HOLD = 1.0
+"""Tissue within this distance (r0) of the sides and bottom of its layer is held."""
+
 DISTANCE = 0.8
 """Smallest distance of two particles over the spacing, if the density allows it.
 

@@ -77,6 +77,15 @@ class Result(enum.Enum):
         "tolerance.",
     )
 
+    STOPPED = (
+        15,
+        "The caller ended the growth before the lesion had its size.",
+    )
+    INTERRUPTED = (
+        16,
+        "The growth was interrupted before the lesion had its size.",
+    )
+
     def __init__(self, code: int, sentence: str) -> None:
         self.code = code
         self.sentence = sentence

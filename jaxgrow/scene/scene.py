@@ -6,112 +6,35 @@ speak in r0, the diameter of a particle.
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, TypeAlias
+from typing import Annotated, Any, get_args, Literal, TYPE_CHECKING, TypeAlias, Union
 
 import pydantic
 
 from jaxgrow.energy.parameters import Parameters
+from jaxgrow.lesions.lesion import Lesion
+from jaxgrow.lesions.myoma import Myoma
+from jaxgrow.lesions.polyp import Polyp
 from jaxgrow.organ.organ import Organ
-from jaxgrow.scene.entries import check_names, Positive, read_toml, validated
+from jaxgrow.runtime.entries import (
+    check_names,
+    Model,
+    Positive,
+    read_toml,
+    SceneError,
+    validated,
+)
 
 
-SITE_DEFAULT = "fundus"
+LESIONS: dict[str, type[Lesion]] = {"polyp": Polyp, "myoma": Myoma}
+"""Kinds of lesion that scene files and the command know, by name."""
 
-Site: TypeAlias = str | Annotated[tuple[float, float, float], pydantic.Strict(False)]
-
-
-class SceneError(ValueError):
-    """A scene that cannot be grown; its message is the sentence for the user."""
-
-
-class _Model(pydantic.BaseModel):
-    model_config = pydantic.ConfigDict(
-        frozen=True, strict=True, extra="forbid", arbitrary_types_allowed=True
-    )
+if TYPE_CHECKING:
+    AnyLesion: TypeAlias = Lesion
+else:
+    AnyLesion = Polyp | Myoma
 
 
-class Lesion(_Model):
-    """What polyp and myoma share.
-
-    Attributes:
-        size_mm: largest diameter at which growth ends; 10 mm if no number of divisions
-            is given either.
-        divisions: number of divisions after which growth ends, instead of a size.
-        particle_mm: r0, the distance at which two particles rest; the resolution.
-            By default a fraction of the size (`particles_across`), or 1 mm.
-        site: a named site of the organ, or x, y, z in mm near its surface.
-        divisions_per_step: how many particles are born before the next equilibrium, 8
-            at most; fewer where there is no room for them. The paper has one. With four
-            a polyp of 80 divisions took 0.47 of the time; its mean shape differed by
-            less than five seeds can tell (7 % in height).
-    """
-
-    size_mm: Positive | None = None
-    divisions: Annotated[int, pydantic.Field(ge=1)] | None = None
-    particle_mm: Positive | None = None
-    site: Site = SITE_DEFAULT
-    divisions_per_step: Annotated[int, pydantic.Field(ge=1, le=8)] = 1
-
-    @pydantic.model_validator(mode="after")
-    def _one_end(self) -> "Lesion":
-        if self.size_mm is not None and self.divisions is not None:
-            raise ValueError("give size_mm or divisions, not both")
-        return self
-
-    mechanics: ClassVar[dict[str, float]] = {}
-    """Parameters of this kind of lesion, where they are not the general defaults."""
-
-    @property
-    def particles_across(self) -> float:
-        """Particle diameters in the largest diameter of the lesion, by default."""
-        return 10.0
-
-    @property
-    def target_mm(self) -> float | None:
-        """Largest diameter asked for; None if a number of divisions is."""
-        if self.divisions is not None:
-            return None
-        return 10.0 if self.size_mm is None else self.size_mm
-
-    @property
-    def r0_mm(self) -> float:
-        """Length of r0 in mm."""
-        if self.particle_mm is not None:
-            return self.particle_mm
-        return 1.0 if self.target_mm is None else self.target_mm / self.particles_across
-
-
-class Polyp(Lesion):
-    """A local overgrowth of the surface: one of its vertices emits all particles.
-
-    Its size is the largest diameter of the surface raised above the former one.
-    """
-
-    kind: Literal["polyp"] = "polyp"
-
-
-class Myoma(Lesion):
-    """A dense ball under the surface: any of its particles may divide.
-
-    Its size is the largest diameter of its body of particles.
-
-    Attributes:
-        depth_mm: of its first particle under the surface; a quarter of its size by
-            default, so that it protrudes into the lumen.
-    """
-
-    mechanics: ClassVar[dict[str, float]] = {"tumour_stiffness": 3.0}
-
-    kind: Literal["myoma"] = "myoma"
-    depth_mm: Positive | None = None
-
-    @property
-    def particles_across(self) -> float:
-        """Particle diameters in the largest diameter of the lesion, by default."""
-        return 7.0
-
-
-class Surroundings(_Model):
+class Surroundings(Model):
     """How much of the organ around the site is simulated, and how finely; in r0.
 
     Attributes:
@@ -134,7 +57,7 @@ class Surroundings(_Model):
     collisions: Literal["auto", "on", "off"] = "auto"
 
 
-class Scene(_Model):
+class Scene(Model):
     """All that decides a growth, but its seed and tolerance.
 
     Attributes:
@@ -151,7 +74,7 @@ class Scene(_Model):
     organ: Organ | Path | str | None = "uterus"
     unit_mm: Positive = 1.0
     tissue: Literal["outside", "inside"] = "outside"
-    lesion: Annotated[Polyp | Myoma, pydantic.Field(discriminator="kind")] = Polyp()
+    lesion: Annotated[AnyLesion, pydantic.Field(discriminator="kind")] = Polyp()
     parameters: Parameters = pydantic.Field(default_factory=Parameters)
     surroundings: Surroundings = Surroundings()
 
@@ -162,8 +85,9 @@ class Scene(_Model):
         if not isinstance(given, dict):
             return entries
         lesion = entries.get("lesion")
-        kind = lesion.get("kind") if isinstance(lesion, dict) else lesion
-        own = Myoma if kind == "myoma" or isinstance(kind, Myoma) else Polyp
+        kind = lesion.get("kind") if isinstance(lesion, dict) else None
+        own = LESIONS.get(str(kind), Polyp)
+        own = type(lesion) if isinstance(lesion, Lesion) else own
         return {**entries, "parameters": {**own.mechanics, **given}}
 
     @pydantic.field_validator("parameters", mode="before")
@@ -178,15 +102,46 @@ class Scene(_Model):
         return Parameters(**value)
 
     @pydantic.model_validator(mode="after")
-    def _polyps_need_a_surface(self) -> "Scene":
-        if self.organ is None and isinstance(self.lesion, Polyp):
-            raise ValueError("a polyp grows from a surface: give an organ, or a myoma")
+    def _some_need_a_surface(self) -> "Scene":
+        if self.organ is None and self.lesion.needs_organ:
+            kind = self.lesion.kind
+            raise ValueError(
+                f"a {kind} grows from a surface: give an organ, or a myoma"
+            )
         return self
 
     @property
     def r0_mm(self) -> float:
         """Length of r0 in mm."""
         return self.lesion.r0_mm
+
+
+def register_lesion(kind: type[Lesion]) -> type[Lesion]:
+    """Make a kind of lesion known to scenes, scene files and the command.
+
+    It may be used as a decorator of the class. A kind of the same name is replaced.
+
+    Args:
+        kind: with a field ``kind`` whose annotation is a literal of its name.
+
+    Raises:
+        TypeError: it is no such class, or one of its methods is missing.
+    """
+    field = getattr(kind, "model_fields", {}).get("kind")
+    name = None if field is None else field.default
+    literal = None if field is None else get_args(field.annotation)
+    if not isinstance(name, str) or literal != (name,):
+        raise TypeError(
+            f"{kind!r} is no kind of lesion; derive it from jaxgrow.Lesion, with the "
+            'field kind: Literal["name"] = "name".'
+        )
+    if missing := getattr(kind, "__abstractmethods__", None):
+        raise TypeError(f"{kind.__name__} has no {', no '.join(sorted(missing))}.")
+    LESIONS[name] = kind
+    any_lesion: Any = Union[tuple(LESIONS.values())]  # noqa: UP007
+    Scene.model_fields["lesion"].annotation = any_lesion
+    Scene.model_rebuild(force=True)
+    return kind
 
 
 def load_scene(path: str | Path) -> Scene:

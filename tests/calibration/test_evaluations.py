@@ -11,10 +11,12 @@ from jaxgrow.calibration.evaluations import LesionGrower, Measured
 from jaxgrow.calibration.spec import Bounds, make_task
 from jaxgrow.cli.main import main
 from jaxgrow.growth.grow import grow
-from jaxgrow.growth.step import repeat
+from jaxgrow.growth.settling import settle_again
+from jaxgrow.lesions.myoma import Myoma
+from jaxgrow.lesions.polyp import Polyp
 from jaxgrow.metrics import shape_metrics
 from jaxgrow.runtime.results import Result
-from jaxgrow.scene.scene import Myoma, Polyp, Scene, Surroundings
+from jaxgrow.scene.scene import Scene, Surroundings
 
 
 # the scene of tests/growth/test_replay.py, whose programs are compiled already
@@ -155,11 +157,11 @@ def test_a_replay_that_finds_no_equilibrium_has_no_slopes(monkeypatch):
     steps = []
 
     def fails_at_last(*arguments):
-        steps.append(repeat(*arguments))
+        steps.append(settle_again(*arguments))
         result = Result.STEP_LIMIT if len(steps) == 11 else steps[-1].result
         return replace(steps[-1], result=result)
 
-    monkeypatch.setattr("jaxgrow.growth.replay.repeat", fails_at_last)
+    monkeypatch.setattr("jaxgrow.growth.choices.settle_again", fails_at_last)
     assert grower.slopes(0, (0.2,)) == ()
     assert len(steps) == 11
 

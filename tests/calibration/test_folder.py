@@ -11,8 +11,10 @@ from jaxgrow.calibration import fit
 from jaxgrow.calibration.folder import scene_toml
 from jaxgrow.calibration.spec import FitError
 from jaxgrow.energy.parameters import Parameters
+from jaxgrow.lesions.myoma import Myoma
+from jaxgrow.lesions.polyp import Polyp
 from jaxgrow.organ.uterus import uterus
-from jaxgrow.scene.scene import load_scene, Myoma, Polyp, Scene, Surroundings
+from jaxgrow.scene.scene import load_scene, Scene, Surroundings
 
 
 BOUNDS = {"spring_stiffness": (0.004, 0.4)}

@@ -15,7 +15,8 @@ import pytest
 import trimesh
 
 from jaxgrow.cli.main import combine, main
-from jaxgrow.scene.scene import Myoma, Polyp
+from jaxgrow.lesions.myoma import Myoma
+from jaxgrow.lesions.polyp import Polyp
 
 
 TINY = "[lesion]\nkind = 'polyp'\ndivisions = 3\n"

@@ -15,9 +15,11 @@ from jaxgrow.energy.parameters import Parameters
 from jaxgrow.ensemble import grow_many as ensemble
 from jaxgrow.ensemble.grow_many import grow_many
 from jaxgrow.growth.grow import grow
+from jaxgrow.lesions.myoma import Myoma
+from jaxgrow.lesions.polyp import Polyp
 from jaxgrow.organ import OrganError
 from jaxgrow.runtime.results import Result
-from jaxgrow.scene.scene import Myoma, Polyp, Scene
+from jaxgrow.scene.scene import Scene
 
 
 CLUSTER = Scene(organ=None, lesion=Myoma(divisions=6))

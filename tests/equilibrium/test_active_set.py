@@ -14,7 +14,8 @@ from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.refresh_lists import allocate_lists
 from jaxgrow.equilibrium.relax import relax
 from jaxgrow.equilibrium.subproblem import Mask
-from jaxgrow.growth.initial_state import plant
+from jaxgrow.growth.initial_state import make_initial_state
+from jaxgrow.growth.setup import Setup
 from jaxgrow.runtime.results import Result
 from jaxgrow.state import Species
 from jaxgrow.transfer.device import put_particles
@@ -272,9 +273,8 @@ def ground():
         lesion=jg.Polyp(divisions=5, particle_mm=1.0),
         surroundings=jg.Surroundings(radius=11.0),
     )
-    planted = plant(
-        scene, jg.Parameters(), tolerance=1e-4, rng=np.random.default_rng(0)
-    )
+    setup = Setup(scene, jg.Parameters(), 1e-4)
+    planted = make_initial_state(setup, np.random.default_rng(0))
     # its springs were reset since
     state = planted.state
     rested = relax(state.particles, state.membrane, tolerance=1e-4, method="lbfgs")

@@ -6,13 +6,13 @@ import pytest
 
 from jaxgrow.equilibrium.relax import Relaxation
 from jaxgrow.growth.boundary import (
-    AGAINST,
-    Beside,
-    beside_patch,
-    Border,
-    border_of,
-    feeling,
-    FELT,
+    boundary_reaction,
+    BoundaryReaction,
+    check_reaction,
+    CONTACT_DISTANCE,
+    EscapedParticles,
+    find_escaped,
+    FORCE_CHANGE_LIMIT,
     SHARE,
 )
 from jaxgrow.mesh.collision_mesh import Walls
@@ -28,14 +28,14 @@ PLACES = np.array([[5.0, 0.0, 0.0], [0.0, 5.0, 0.0], [0.0, 0.0, -3.0]])
 def border(force=None):
     """Two vertices of the rim and a held particle, with the force on that."""
     force = np.zeros(3) if force is None else np.asarray(force, float)
-    return Border(PLACES[:2], PLACES[2:], force[None])
+    return BoundaryReaction(PLACES[:2], PLACES[2:], force[None])
 
 
-NOBODY = Beside(np.zeros((0, 3)))
+NOBODY = EscapedParticles(np.zeros((0, 3)))
 
 
 def felt(now, before, particles, beside=NOBODY):
-    return feeling(now, before, particles, beside)
+    return check_reaction(now, before, particles, beside)
 
 
 def tumour_at(*points):
@@ -60,10 +60,10 @@ def test_healthy_tissue_does_not_count():
 
 
 def test_tumour_that_presses_on_the_border_is_felt_where_it_does():
-    point = PLACES[1] + [0.0, -0.99 * AGAINST, 0.0]
+    point = PLACES[1] + [0.0, -0.99 * CONTACT_DISTANCE, 0.0]
     found = felt(border(), border(), tumour_at(point))
     np.testing.assert_array_equal(found.place, PLACES[1])
-    point = PLACES[1] + [0.0, -1.01 * AGAINST, 0.0]
+    point = PLACES[1] + [0.0, -1.01 * CONTACT_DISTANCE, 0.0]
     assert felt(border(), border(), tumour_at(point)).place is None
 
 
@@ -71,7 +71,7 @@ def test_tumour_that_presses_on_the_border_is_felt_where_it_does():
 @pytest.mark.parametrize("before", [0.1, 4.0])
 def test_force_on_held_tissue_is_felt_above_a_bound(factor, feels, before):
     start = np.array([0, 0, before])
-    now = start + np.array([factor * max(FELT, SHARE * before), 0, 0])
+    now = start + np.array([factor * max(FORCE_CHANGE_LIMIT, SHARE * before), 0, 0])
     found = felt(border(now), border(start), tumour_at([0.0, 0.0, 0.0]))
     assert found.force == pytest.approx(now[0])
     assert (found.place is not None) == feels
@@ -88,7 +88,7 @@ def test_pull_of_the_springs_on_the_rim_does_not_count(tiny_polyp):
     def after(on_vertices):
         forces = Nodes(nothing, on_vertices)
         both = (state.particles, state.membrane)
-        return border_of(Relaxation(both, Result.CONVERGED, None, None, forces))
+        return boundary_reaction(Relaxation(both, Result.CONVERGED, None, None, forces))
 
     now, before = after(force), after(jnp.zeros_like(force))
     assert len(now.rim) == int(state.membrane.pinned.sum()) > 0
@@ -116,7 +116,7 @@ def patch_with_a_wall():
     ],
 )
 def test_particles_that_leave_the_patch_are_noticed(point, beside, crossed):
-    found = beside_patch(tumour_at(point), *patch_with_a_wall(), 0.7)
+    found = find_escaped(tumour_at(point), *patch_with_a_wall(), 0.7)
     assert len(found.position) == beside
     assert found.crossed == crossed
     feels = felt(border(), border(), tumour_at([0.0, 0.0, 0.0]), found)
@@ -128,7 +128,7 @@ def test_lesion_against_the_opposite_wall_has_not_left_its_patch():
     surface, _ = patch_with_a_wall()
     below = np.array([[0.0, 0, 0.2], [4, 0, 0.2], [4, 4, 0.2], [0, 4, 0.2]])
     opposite = Walls(below, np.array([[0, 2, 1], [0, 3, 2]]), np.arange(4))
-    found = beside_patch(tumour_at([2.0, 2.0, -0.3]), surface, opposite, 0.7)
+    found = find_escaped(tumour_at([2.0, 2.0, -0.3]), surface, opposite, 0.7)
     assert len(found.position) == 0
 
 

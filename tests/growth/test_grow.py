@@ -3,6 +3,7 @@
 import inspect
 import json
 import warnings
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -16,15 +17,20 @@ from jaxgrow.energy.a2 import CUTOFF
 from jaxgrow.energy.parameters import Parameters, UnstableAdhesionWarning
 from jaxgrow.equilibrium.refresh_lists import stale
 from jaxgrow.growth import adaptation
-from jaxgrow.growth.adaptation import adapt_tissue_and_surface, Laws
-from jaxgrow.growth.grow import end_of, grow, STAGNATION
-from jaxgrow.growth.initial_state import plant
-from jaxgrow.growth.lesion import height_above
-from jaxgrow.growth.step import choose_divisions, divide
+from jaxgrow.growth.adaptation import equilibrate
+from jaxgrow.growth.grow import grow
+from jaxgrow.growth.history import StepRecord
+from jaxgrow.growth.initial_state import make_free_cluster
+from jaxgrow.growth.setup import Setup
+from jaxgrow.growth.step import divide
+from jaxgrow.growth.stopping import Bounds, STAGNATION, stop_reason, Stopping
 from jaxgrow.io.audit import audit
+from jaxgrow.lesions.myoma import Myoma
+from jaxgrow.lesions.polyp import Polyp
+from jaxgrow.lesions.size import height_above
 from jaxgrow.mesh.audit import audit_surface
 from jaxgrow.runtime.results import Result
-from jaxgrow.scene.scene import Myoma, Polyp, Scene
+from jaxgrow.scene.scene import Scene
 from jaxgrow.transfer.device import get, get_particles
 
 
@@ -44,19 +50,17 @@ def arrays(adhesion):
 def clusters(adhesion, tolerance, sizes, seed=0):
     """Positions at each size of one growth by the steps of `grow`, all converged."""
     parameters, rng = arrays(adhesion), np.random.default_rng(seed)
-    state = plant(CLUSTER, parameters, tolerance=tolerance, rng=rng).state
-    lists, found = None, {}
+    setup, lesion = Setup(CLUSTER, parameters, tolerance), CLUSTER.lesion
+    now, found = make_free_cluster(CLUSTER).growth_state(), {}
     for size in range(2, max(sizes) + 1):
-        divisions = choose_divisions(CLUSTER, state, parameters, rng)
-        state = divide(state, divisions, parameters)
-        laws = Laws(parameters, tolerance)
-        nowhere = np.zeros(0, int)
-        adapted = adapt_tissue_and_surface(state, nowhere, laws, lists, colliding=False)
-        state, lists = adapted.state, stale(adapted.relaxation.lists)
-        assert adapted.result is Result.CONVERGED
-        assert adapted.relaxation.stats.residual <= tolerance
+        divisions = lesion.choose(now.state, parameters, rng, 1)
+        divided = divide(lesion, now.state, divisions, parameters)
+        made = equilibrate(setup, replace(now, state=divided), colliding=False)
+        now = replace(now, state=made.state, lists=stale(made.relaxation.lists))
+        assert made.result is Result.CONVERGED
+        assert made.relaxation.stats.residual <= tolerance
         if size in sizes:
-            found[size] = get_particles(state.particles)[0]
+            found[size] = get_particles(now.state.particles)[0]
     return found
 
 
@@ -154,10 +158,10 @@ def test_another_seed_gives_another_growth(thirty):
 
 
 def test_every_division_has_a_record_with_a_residual_within_tolerance(thirty):
-    assert [r["division"] for r in thirty.history] == list(range(1, 30))
-    assert all(r["result"] == "CONVERGED" for r in thirty.history)
-    assert all(r["residual"] <= thirty.tolerance for r in thirty.history)
-    assert [r["particles"] for r in thirty.history] == list(range(2, 31))
+    assert [r.division for r in thirty.history] == list(range(1, 30))
+    assert all(r.result == "CONVERGED" for r in thirty.history)
+    assert all(r.residual <= thirty.tolerance for r in thirty.history)
+    assert [r.particles for r in thirty.history] == list(range(2, 31))
     assert len(thirty.events) == 29
 
 
@@ -165,8 +169,8 @@ def test_several_divisions_share_an_equilibrium():
     # nobody divides twice in a step, so at first there are fewer than four
     lesion = Myoma(divisions=10, particle_mm=1.0, divisions_per_step=4)
     growth = grow(Scene(organ=None, lesion=lesion))
-    assert [r["division"] for r in growth.history] == [1, 3, 7, 10]
-    assert [r["particles"] for r in growth.history] == [2, 4, 8, 11]
+    assert [r.division for r in growth.history] == [1, 3, 7, 10]
+    assert [r.particles for r in growth.history] == [2, 4, 8, 11]
     assert growth.events.divisions == 10
     for event in growth.events:
         parents = [division.parent for division in event.divisions]
@@ -200,7 +204,7 @@ def test_progress_is_told_after_every_division(tiny_cluster):
     assert seen[-1].target_divisions == 4
     assert seen[-1].target_mm is None
     assert seen[-1].size_mm == again.size_mm
-    assert seen[-1].residual == again.history[-1]["residual"]
+    assert seen[-1].residual == again.history[-1].residual
 
 
 def test_relaxation_that_fails_ends_the_growth_with_the_last_equilibrium(
@@ -210,8 +214,8 @@ def test_relaxation_that_fails_ends_the_growth_with_the_last_equilibrium(
     ended = free(tolerance=1e-12)
     assert ended.result is Result.STEP_LIMIT
     assert len(ended.history) == len(ended.events) + 1 < 5
-    assert ended.history[-1]["result"] == "STEP_LIMIT"
-    assert ended.history[-1]["mended"] == {"retried_after_step_limit": 1}
+    assert ended.history[-1].result == "STEP_LIMIT"
+    assert ended.history[-1].mended == {"retried_after_step_limit": 1}
     count = int(ended.state.particles.alive.sum())
     assert count == 1 + len(ended.events)
 
@@ -220,7 +224,7 @@ def test_relaxation_that_fails_is_tried_again_with_shorter_steps(monkeypatch, th
     monkeypatch.setattr(adaptation, "ATTEMPTS", ((0.1, 1), (0.1, 1500)))
     mended = free()
     assert mended.result is thirty.result
-    retried = [r["mended"].get("retried_after_step_limit", 0) for r in mended.history]
+    retried = [r.mended.get("retried_after_step_limit", 0) for r in mended.history]
     assert sum(retried) > 10
     # from where the first attempt started, not from where it ended
     np.testing.assert_array_equal(
@@ -242,7 +246,7 @@ def test_cluster_that_flies_apart_is_no_equilibrium(monkeypatch):
     ended = free(divisions=3)
     assert ended.result is Result.EVAPORATED
     assert len(ended.events) == 0
-    assert ended.history[-1]["mended"] == {"retried_after_evaporated": 1}
+    assert ended.history[-1].mended == {"retried_after_evaporated": 1}
 
 
 @pytest.mark.parametrize(
@@ -292,10 +296,16 @@ def test_time_limit_that_is_not_positive_is_refused(seconds):
 
 
 def records(sizes, colliding=True, each=1):
+    figures = {"residual": 0.0, "steps": 1, "method": "lbfgs", "result": "CONVERGED"}
+    counts = {"particles": 2, "tumour": 2, "colliding": colliding}
     return [
-        {"division": number * each, "size_mm": size, "colliding": colliding}
+        StepRecord(number * each, size, **figures, **counts)
         for number, size in enumerate(sizes, 1)
     ]
+
+
+def reason(scene, divisions, past):
+    return stop_reason(scene.lesion, Stopping(7.0, divisions, past, Bounds(3000)))
 
 
 def test_cavity_is_full_when_divisions_against_a_wall_hardly_enlarge():
@@ -309,7 +319,7 @@ def test_cavity_is_full_when_divisions_against_a_wall_hardly_enlarge():
         ([*growing, *stuck, 7.3], True, Result.CONVERGED),
     ):
         past = records(sizes, colliding)
-        assert end_of(scene, 7.0, len(past), past, 3000) is wanted
+        assert reason(scene, len(past), past) is wanted
 
 
 def test_divisions_against_a_wall_are_counted_not_their_iterations():
@@ -320,13 +330,13 @@ def test_divisions_against_a_wall_are_counted_not_their_iterations():
         (STAGNATION // 4 - 1, Result.CONVERGED),
     ):
         past = records([*growing, *stuck[:several]], each=4)
-        assert end_of(scene, 7.0, 4 * len(past), past, 3000) is wanted
+        assert reason(scene, 4 * len(past), past) is wanted
 
 
 def test_divisions_asked_for_are_not_a_size():
     scene = Scene(lesion=Polyp(divisions=500))
     past = records([7.0] * 200)
-    assert end_of(scene, 7.0, len(past), past, 3000) is Result.CONVERGED
+    assert reason(scene, len(past), past) is Result.CONVERGED
 
 
 @pytest.mark.parametrize("name", ["merged", "surface", "mesh"])
@@ -374,9 +384,9 @@ def test_euler_number_is_kept(tiny_polyp):
 
 def test_every_division_of_a_polyp_converges(tiny_polyp):
     assert tiny_polyp.result is Result.REACHED
-    assert [r["result"] for r in tiny_polyp.history] == ["CONVERGED"] * 3
-    assert all(r["residual"] <= tiny_polyp.tolerance for r in tiny_polyp.history)
-    assert [r["tumour"] for r in tiny_polyp.history] == [1, 2, 3]
+    assert [r.result for r in tiny_polyp.history] == ["CONVERGED"] * 3
+    assert all(r.residual <= tiny_polyp.tolerance for r in tiny_polyp.history)
+    assert [r.tumour for r in tiny_polyp.history] == [1, 2, 3]
 
 
 def test_labels_are_near_the_lesion_only(tiny_polyp):

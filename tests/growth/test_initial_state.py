@@ -5,19 +5,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrow.energy.parameters import Parameters
 from jaxgrow.growth.initial_state import (
-    check_lift,
-    depth_of,
     find_organ,
-    HOLD,
-    plant,
-    SPARE,
+    make_initial_state,
 )
+from jaxgrow.growth.setup import Setup
+from jaxgrow.lesions.division import SPARE
+from jaxgrow.lesions.myoma import Myoma
+from jaxgrow.lesions.polyp import check_lift, Polyp
 from jaxgrow.mesh.winding import particles_outside
 from jaxgrow.organ import merge
+from jaxgrow.organ.tissue import HOLD
+from jaxgrow.runtime.entries import SceneError
 from jaxgrow.runtime.results import Result
-from jaxgrow.scene.scene import Myoma, Polyp, Scene, SceneError, Surroundings
+from jaxgrow.scene.scene import Scene, Surroundings
 from jaxgrow.state import Species
 from jaxgrow.transfer.device import get, get_particles, get_surface
 
@@ -25,8 +26,12 @@ from jaxgrow.transfer.device import get, get_particles, get_surface
 def start(lesion, seed=0):
     """A start of the same extent for either lesion, so that they share programs."""
     scene = Scene(lesion=lesion, surroundings=Surroundings(radius=6.5, thickness=3.0))
-    rng = np.random.default_rng(seed)
-    return plant(scene, scene.parameters, tolerance=1e-3, rng=rng)
+    return plant(scene, seed=seed)
+
+
+def plant(scene, tolerance=1e-3, seed=0):
+    setup = Setup(scene, scene.parameters, tolerance)
+    return make_initial_state(setup, np.random.default_rng(seed))
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +54,11 @@ def test_all_tissue_is_on_its_side_of_the_organ(polyp):
     surface = get_surface(polyp.state.membrane)
     vertices = ground.patch.to_mm(surface.vertices)
     merged = merge(
-        ground.organ, ground.patch, vertices, surface.faces, polyp.organ_index
+        ground.organ,
+        ground.patch,
+        vertices,
+        surface.faces,
+        polyp.growth_state().organ_index,
     )
     position, _ = get_particles(polyp.state.particles)
     outside = particles_outside(
@@ -90,10 +99,10 @@ def test_some_tissue_is_held_and_some_is_free(polyp):
 
 def test_rim_vertices_are_those_of_the_organ_to_the_bit(polyp):
     surface, organ = get_surface(polyp.state.membrane), polyp.ground.organ
-    mapped = polyp.organ_index >= 0
+    mapped = polyp.growth_state().organ_index >= 0
     assert np.all(mapped[surface.fixed])
     patch = polyp.ground.patch
-    wanted = organ.vertices[polyp.organ_index[surface.fixed]]
+    wanted = organ.vertices[polyp.growth_state().organ_index[surface.fixed]]
     np.testing.assert_allclose(
         patch.to_mm(surface.vertices[surface.fixed]), wanted, atol=1e-12
     )
@@ -126,8 +135,7 @@ def test_same_generator_plants_the_same(polyp):
 
 def test_free_cluster_starts_with_one_particle_and_room_for_all():
     scene = Scene(organ=None, lesion=Myoma(divisions=7))
-    rng = np.random.default_rng(0)
-    planted = plant(scene, Parameters(), tolerance=1e-3, rng=rng)
+    planted = plant(scene)
     particles = planted.state.particles
     assert particles.position.shape == (8, 3)
     assert get(particles.alive).sum() == 1
@@ -138,9 +146,9 @@ def test_free_cluster_starts_with_one_particle_and_room_for_all():
 
 
 def test_depth_of_a_myoma_is_a_quarter_of_its_size_unless_given():
-    assert depth_of(Myoma(size_mm=8.0), 2.0) == 1.0
-    assert depth_of(Myoma(size_mm=8.0, depth_mm=5.0), 2.0) == 2.5
-    assert depth_of(Myoma(divisions=5), 1.0) == 2.0
+    assert Myoma(size_mm=8.0, particle_mm=2.0).depth == 1.0
+    assert Myoma(size_mm=8.0, depth_mm=5.0, particle_mm=2.0).depth == 2.5
+    assert Myoma(divisions=5).depth == 2.0
 
 
 def test_organ_given_as_an_object_is_used_as_it_is(polyp):
@@ -164,7 +172,7 @@ def test_tissue_that_lifts_the_surface_by_itself_is_refused():
         surroundings=Surroundings(radius=4.0, density=8.0),
     )
     with pytest.raises(SceneError, match=r"density 8 .* lifts the surface by .* r0"):
-        plant(scene, Parameters(), tolerance=1e-1, rng=np.random.default_rng(0))
+        plant(scene, tolerance=1e-1)
 
 
 def test_tissue_of_a_myoma_may_lift_the_surface():
@@ -173,7 +181,7 @@ def test_tissue_of_a_myoma_may_lift_the_surface():
         lesion=Myoma(size_mm=8.0, particle_mm=1.5, depth_mm=2.0),
         surroundings=Surroundings(radius=4.0, thickness=3.5, density=8.0),
     )
-    planted = plant(scene, Parameters(), tolerance=1e-1, rng=np.random.default_rng(0))
+    planted = plant(scene, tolerance=1e-1)
     assert planted.outcome.result.success
     with pytest.raises(SceneError):
         check_lift(planted.state, 8.0)

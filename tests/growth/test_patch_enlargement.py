@@ -11,11 +11,12 @@ import pytest
 from jaxgrow.equilibrium.relax import relax
 from jaxgrow.growth.grow import grow
 from jaxgrow.growth.patch_enlargement import enlarge_ground, put_enlarged
+from jaxgrow.lesions.polyp import Polyp
 from jaxgrow.mesh.audit import audit_surface
 from jaxgrow.mesh.winding import particles_outside
 from jaxgrow.organ import merge, OrganError
 from jaxgrow.runtime.results import Result
-from jaxgrow.scene.scene import Polyp, Scene
+from jaxgrow.scene.scene import Scene
 from jaxgrow.state import Species
 from jaxgrow.transfer.device import get, get_particles, get_surface, reset_springs
 

@@ -1,6 +1,5 @@
 """Replay of a growth's choices, and derivatives along them."""
 
-import sys
 from dataclasses import fields, replace
 
 import jax
@@ -9,11 +8,13 @@ import numpy as np
 import pytest
 
 from jaxgrow.energy.parameters import Parameters
-from jaxgrow.growth import boundary as border
+from jaxgrow.growth import boundary, choices
 from jaxgrow.growth.grow import grow
+from jaxgrow.lesions.myoma import Myoma
+from jaxgrow.lesions.polyp import Polyp
 from jaxgrow.metrics import shape_metrics
 from jaxgrow.runtime.results import Result
-from jaxgrow.scene.scene import Myoma, Polyp, Scene, Surroundings
+from jaxgrow.scene.scene import Scene, Surroundings
 
 
 POLYP = Scene(
@@ -59,7 +60,7 @@ def cluster():
 def check_same(first, again):
     assert again.result is first.result is Result.REACHED
     assert len(again.history) == len(first.events)
-    assert sum(record["steps"] for record in again.history) == 0
+    assert sum(record.steps for record in again.history) == 0
     for new, old in zip(leaves(again), leaves(first), strict=True):
         np.testing.assert_array_equal(new, old)
     assert again.size_mm == first.size_mm
@@ -74,24 +75,24 @@ def check_same(first, again):
 def test_replay_gives_the_same_bits(scene):
     first = grow(scene, seed=3)
     meeting = scene is MEETING
-    assert all(event.settling.colliding is meeting for event in first.events)
+    assert all(event.equilibrium.colliding is meeting for event in first.events)
     again = grow(scene, events=first.events)
     check_same(first, again)
-    counted = [[record["division"] for record in g.history] for g in (first, again)]
+    counted = [[record.division for record in g.history] for g in (first, again)]
     assert counted[0] == counted[1]
     if scene is THREE_AT_ONCE:
         assert counted[0] == [3, 6, 7]
-        assert first.history[-1]["tumour"] == 7
+        assert first.history[-1].tumour == 7
 
 
 def test_replay_enlarges_the_patch_again(monkeypatch):
     with monkeypatch.context() as sensitive:  # one that feels mere rearrangements
-        sensitive.setattr(border, "FELT", 1e-3)
-        sensitive.setattr(border, "SHARE", 0.0)
-        sensitive.setattr(sys.modules["jaxgrow.growth.grow"], "ENLARGEMENTS", 1)
+        sensitive.setattr(boundary, "FORCE_CHANGE_LIMIT", 1e-3)
+        sensitive.setattr(boundary, "SHARE", 0.0)
+        sensitive.setattr(choices, "ENLARGEMENTS", 1)
         first = grow(NARROW, tolerance=1e-2)
     assert first.mended["patch_enlarged"] == 1
-    assert any(event.widenings for event in [first.events.start, *first.events])
+    assert any(event.enlargements for event in [first.events.start, *first.events])
     check_same(first, grow(NARROW, events=first.events))
 
 
@@ -100,7 +101,7 @@ def test_other_parameters_move_every_equilibrium_a_little(polyp):
         POLYP, parameters=Parameters(spring_stiffness=0.0401), events=polyp.events
     )
     assert stiffer.tolerance == 1e-10
-    assert all(r["steps"] > 0 and r["residual"] <= 1e-10 for r in stiffer.history)
+    assert all(r.steps > 0 and r.residual <= 1e-10 for r in stiffer.history)
     gap = stiffer.state.membrane.vertices - polyp.state.membrane.vertices
     assert 1e-6 < np.abs(gap).max() < 1e-2
 
@@ -206,4 +207,4 @@ def test_replay_that_finds_no_equilibrium_says_so(polyp):
     far = replace(Parameters(), spring_stiffness=1e9)
     ended = grow(POLYP, parameters=far, events=polyp.events)
     assert not ended.result.success
-    assert len(ended.history) < 8 or ended.history[-1]["result"] != "CONVERGED"
+    assert len(ended.history) < 8 or ended.history[-1].result != "CONVERGED"

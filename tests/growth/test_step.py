@@ -1,27 +1,35 @@
 """One iteration: what is mended, and what comes back when it cannot be."""
 
-import sys
 from dataclasses import replace
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrow.energy.parameters import Parameters
-from jaxgrow.growth import boundary as border, settling as module, step
+from jaxgrow.energy.parameters import as_arrays, Parameters
+from jaxgrow.growth import (
+    adaptation,
+    boundary,
+    choices,
+    patch_enlargement,
+    settling as module,
+)
+from jaxgrow.growth.choices import Drawn
 from jaxgrow.growth.grow import grow
-from jaxgrow.growth.initial_state import plant
-from jaxgrow.growth.settling import bound_on_quality, LEAST_QUALITY, Step
-from jaxgrow.growth.step import choose_divisions, iterate
+from jaxgrow.growth.initial_state import make_initial_state
+from jaxgrow.growth.setup import LEAST_QUALITY, quality_bound, Setup
+from jaxgrow.growth.step import grow_step
 from jaxgrow.io.audit import audit
 from jaxgrow.io.report import make_report
+from jaxgrow.lesions import polyp
+from jaxgrow.lesions.myoma import Myoma
+from jaxgrow.lesions.polyp import Polyp
 from jaxgrow.mesh.surface import Remeshing, Surface
 from jaxgrow.organ import OrganError
 from jaxgrow.runtime.results import Result
 from jaxgrow.runtime.timer import Clock
-from jaxgrow.scene.scene import Myoma, Polyp, Scene, Surroundings
+from jaxgrow.scene.scene import Scene, Surroundings
 from jaxgrow.state import Species
 from jaxgrow.transfer.device import get, get_surface
 
@@ -34,22 +42,17 @@ TOLERANCE = 1e-2
 
 @pytest.fixture(scope="module")
 def planted():
-    parameters = jax.tree.map(jnp.asarray, Parameters())
-    rng = np.random.default_rng(0)
-    start = plant(SMALL, parameters, tolerance=TOLERANCE, rng=rng)
-    return Step(
-        start.state,
-        start.organ_index,
-        start.outcome.lists,
-        start.ground,
-        border=start.border,
-    )
+    start = make_initial_state(setup_of(SMALL), np.random.default_rng(0))
+    return replace(start.growth_state(), least_quality=LEAST_QUALITY)
 
 
-def one(planted):
-    parameters = jax.tree.map(jnp.asarray, Parameters())
-    rng = np.random.default_rng(1)
-    return iterate(SMALL, planted, parameters, TOLERANCE, rng, Clock())
+def setup_of(scene, **parameters):
+    return Setup(scene, as_arrays(Parameters(**parameters), jnp.float64), TOLERANCE)
+
+
+def one(planted, setup=None, count=1):
+    drawn = Drawn(np.random.default_rng(1))
+    return grow_step(setup or setup_of(SMALL), planted, drawn, Clock(), count)
 
 
 @pytest.fixture(scope="module")
@@ -60,41 +63,34 @@ def usual(planted):
 def test_usual_iteration_needs_no_mending(usual):
     assert usual.result is Result.CONVERGED
     assert usual.settled.mended == {}
-    assert usual.felt.place is None
+    assert usual.check.place is None
 
 
 @pytest.mark.parametrize(
     "offset, thickness, wanted", [(0.3, 3.0, 3), (0.1, 3.0, 8), (0.1, 1.05, 1)]
 )
 def test_particles_born_at_once_stay_in_the_upper_half_of_the_free_layer(
-    planted, monkeypatch, offset, thickness, wanted
+    planted, offset, thickness, wanted
 ):
-    chosen = []
     layer = replace(planted.ground, thickness=thickness)
-
-    def choose(*args):
-        chosen.append(choose_divisions(*args))
-
-    monkeypatch.setattr(step, "choose_divisions", choose)
-    parameters = jax.tree.map(jnp.asarray, Parameters(daughter_offset=offset))
-    rng = np.random.default_rng(1)
     thin = replace(planted, ground=layer)
-    iterate(SMALL, thin, parameters, TOLERANCE, rng, Clock(), 8)
-    assert [division.depth for division in chosen[0]] == list(range(1, wanted + 1))
+    drawn = Drawn(np.random.default_rng(1))
+    chosen = drawn.divisions(setup_of(SMALL, daughter_offset=offset), thin, 8)
+    assert [division.depth for division in chosen] == list(range(1, wanted + 1))
 
 
 @pytest.mark.parametrize("places, depths", [(8, [1, 2, 3]), (2, [1, 2]), (0, None)])
 def test_daughters_that_have_a_place_are_born_without_the_others(
     planted, monkeypatch, places, depths
 ):
-    real = step.choose_polyp
+    real = polyp.choose_polyp
 
     def choose(surface, slot, place, depth):
         return real(surface, slot, place, depth) if depth <= places else None
 
-    monkeypatch.setattr(step, "choose_polyp", choose)
+    monkeypatch.setattr(polyp, "choose_polyp", choose)
     parameters, rng = Parameters(), np.random.default_rng(1)
-    found = choose_divisions(SMALL, planted.state, parameters, rng, 3)
+    found = SMALL.lesion.choose(planted.state, parameters, rng, 3)
     assert (found and [division.depth for division in found]) == depths
 
 
@@ -103,7 +99,7 @@ def test_failed_iteration_has_its_choices_and_its_equilibrium(planted, monkeypat
     assert found.result is Result.SLIVER
     assert found.event is not None
     assert found.settled is not None
-    monkeypatch.setattr(step, "choose_polyp", lambda *_: None)
+    monkeypatch.setattr(polyp, "choose_polyp", lambda *_: None)
     nowhere = one(planted)
     assert nowhere.result is Result.ON_MEMBRANE
     assert nowhere.event is None
@@ -127,12 +123,12 @@ def test_fairing_that_would_intersect_is_rejected(planted, usual, monkeypatch):
     found = one(planted)
     assert found.result is Result.CONVERGED
     assert found.settled.mended == {"fairing_rejected": 1}
-    before = get_surface(found.settled.adapted.state.membrane)
-    after = get_surface(found.step.state.membrane)
+    before = get_surface(found.settled.found.state.membrane)
+    after = get_surface(found.now.state.membrane)
     np.testing.assert_array_equal(after.vertices, before.vertices)
     np.testing.assert_array_equal(after.faces, before.faces)
     # the springs are reset all the same
-    membrane = found.step.state.membrane
+    membrane = found.now.state.membrane
     alive = get(membrane.edge_alive)
     start, end = get(membrane.vertices)[get(membrane.edges)[alive].T]
     np.testing.assert_allclose(
@@ -157,22 +153,22 @@ def test_fairing_that_would_sweep_over_a_particle_is_rejected(planted, monkeypat
 
 
 def test_equilibrium_that_intersects_is_no_step(planted, monkeypatch):
-    real = module.adapt_tissue_and_surface
+    real = module.equilibrate
     seen = []
 
     def always(*args):
         return True
 
-    def through_itself(state, *rest, colliding, **more):
+    def through_itself(setup, now, *, colliding):
         seen.append(colliding)
-        adapted = real(state, *rest, colliding=colliding, **more)
+        found = real(setup, now, colliding=colliding)
         monkeypatch.setattr(module, "_intersects", always)
-        return adapted
+        return found
 
-    monkeypatch.setattr(module, "adapt_tissue_and_surface", through_itself)
+    monkeypatch.setattr(module, "equilibrate", through_itself)
     found = one(planted)
     assert found.result is Result.INTERSECTION
-    assert found.step is planted
+    assert found.now is planted
     # it was tried again with the energy of collisions
     assert seen == [False, True]
 
@@ -182,23 +178,21 @@ def test_surface_with_a_triangle_of_too_little_quality_is_no_step(planted, usual
     assert LEAST_QUALITY < quality < 1
     found = one(replace(planted, least_quality=1.01 * quality))
     assert found.result is Result.SLIVER
-    assert found.step.state is planted.state
+    assert found.now.state is planted.state
     assert one(replace(planted, least_quality=0.99 * quality)).result.success
 
 
 def test_slivers_of_the_organ_lower_what_is_asked_for(planted):
-    assert bound_on_quality(planted.state) == LEAST_QUALITY
+    assert quality_bound(planted.state) == LEAST_QUALITY
     membrane = planted.state.membrane
     a, b, c = get(membrane.faces)[0]
     corners = get(membrane.vertices)[[a, b]]
     flat = membrane.vertices.at[c].set(corners.mean(axis=0) + 1e-4)
     worse = eqx.tree_at(lambda s: s.membrane.vertices, planted.state, flat)
-    assert 0 < bound_on_quality(worse) < 1e-4
+    assert 0 < quality_bound(worse) < 1e-4
 
 
 def test_collisions_join_as_soon_as_sheets_come_near(planted, usual, monkeypatch):
-    from jaxgrow.growth import adaptation
-
     def near(*args):
         return 0.1
 
@@ -206,11 +200,11 @@ def test_collisions_join_as_soon_as_sheets_come_near(planted, usual, monkeypatch
     found = one(planted)
     assert found.result is Result.CONVERGED
     assert found.settled.mended == {"collisions_joined": 1}
-    assert found.step.colliding
+    assert found.now.colliding
     # there was nothing to collide with: the same equilibrium
     np.testing.assert_allclose(
-        get(found.step.state.particles.position),
-        get(usual.step.state.particles.position),
+        get(found.now.state.particles.position),
+        get(usual.now.state.particles.position),
         atol=0.2,
     )
 
@@ -225,9 +219,9 @@ NARROW = Scene(
 def sensitive():
     """A border that feels what otherwise counts as rearrangements of tissue."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(border, "FELT", 1e-3)
-        patch.setattr(border, "SHARE", 0.0)
-        patch.setattr(sys.modules["jaxgrow.growth.grow"], "ENLARGEMENTS", 1)
+        patch.setattr(boundary, "FORCE_CHANGE_LIMIT", 1e-3)
+        patch.setattr(boundary, "SHARE", 0.0)
+        patch.setattr(choices, "ENLARGEMENTS", 1)
         yield
 
 
@@ -238,17 +232,17 @@ def enlarged(sensitive):
 
 def test_patch_that_feels_the_lesion_is_enlarged(enlarged):
     assert enlarged.result is Result.REACHED
-    widened = [r for r in enlarged.history if r["mended"].get("patch_enlarged")]
+    widened = [r for r in enlarged.history if r.mended.get("patch_enlarged")]
     assert len(widened) == 1
-    after = enlarged.history[widened[0]["division"] :]
-    assert all(r["particles"] > widened[0]["particles"] for r in after)
+    after = enlarged.history[widened[0].division :]
+    assert all(r.particles > widened[0].particles for r in after)
     ground = enlarged.ground
     assert (ground.radius, ground.thickness) > (3.5, 3.2)
     assert audit(enlarged).clean
 
 
 def test_what_was_mended_is_counted_and_reported(enlarged):
-    count = sum(r["mended"].get("patch_enlarged", 0) for r in enlarged.history)
+    count = sum(r.mended.get("patch_enlarged", 0) for r in enlarged.history)
     assert count > 0
     assert enlarged.mended["patch_enlarged"] == count
     assert make_report(enlarged, None)["outcome"]["mended"] == enlarged.mended
@@ -267,7 +261,7 @@ def test_patch_that_cannot_be_enlarged_ends_the_growth(
     def nothing_left(*args, **more):
         raise OrganError("the organ has no more surface.")
 
-    monkeypatch.setattr(step, "enlarge_ground", nothing_left)
+    monkeypatch.setattr(patch_enlargement, "enlarge_ground", nothing_left)
     ended = grow(NARROW, tolerance=TOLERANCE)
     assert ended.result is Result.PATCH_TOO_SMALL
     assert audit(ended).clean
@@ -281,11 +275,6 @@ def test_growth_without_collisions_never_looks_for_them(monkeypatch, planted):
     def never(*args, **more):
         raise AssertionError
 
-    monkeypatch.setattr(
-        sys.modules["jaxgrow.growth.adaptation"].CollisionFinder, "of", never
-    )
-    parameters = jax.tree.map(jnp.asarray, Parameters())
-    found = iterate(
-        off, planted, parameters, TOLERANCE, np.random.default_rng(1), Clock()
-    )
+    monkeypatch.setattr(adaptation.CollisionFinder, "of", never)
+    found = one(planted, setup_of(off))
     assert found.result is Result.CONVERGED

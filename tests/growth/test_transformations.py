@@ -15,9 +15,11 @@ from jaxgrow.equilibrium.relax import relax
 from jaxgrow.growth.grow import grow
 from jaxgrow.io.audit import audit
 from jaxgrow.io.run_folder import write_run
+from jaxgrow.lesions.myoma import Myoma
+from jaxgrow.lesions.polyp import Polyp
 from jaxgrow.metrics import shape_metrics
 from jaxgrow.runtime.results import Result
-from jaxgrow.scene.scene import Myoma, Polyp, Scene
+from jaxgrow.scene.scene import Scene
 from jaxgrow.state import Nodes
 from jaxgrow.transfer.device import put_particles
 
@@ -243,15 +245,15 @@ def test_size_carries_its_derivative(seven):
 def test_size_has_the_bits_it_has_without_a_derivative(seven):
     def size(value):
         again = sized(seven, value)
-        seen.append((again.size_mm, again.history[-1]["size_mm"]))
+        seen.append((again.size_mm, again.history[-1].size_mm))
         return jnp.asarray(again.size_mm)
 
     seen = []
     value, _ = jax.value_and_grad(size)(jnp.asarray(0.2))
     assert float(value) == seven.size_mm
     assert isinstance(seven.size_mm, float)
-    assert isinstance(seven.history[-1]["size_mm"], float)
-    grad = jax.grad(lambda v: sized(seven, v).history[-1]["size_mm"])
+    assert isinstance(seven.history[-1].size_mm, float)
+    grad = jax.grad(lambda v: sized(seven, v).history[-1].size_mm)
     assert grad(jnp.asarray(0.2)) == jax.grad(size)(jnp.asarray(0.2))
 
 

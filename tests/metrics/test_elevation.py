@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from jax.test_util import check_grads
 
-from jaxgrow.growth import lesion
+from jaxgrow.lesions import size as lesion
 from jaxgrow.metrics.elevation import height_above, raisedness, smoothstep
 from jaxgrow.state import FormerSurface
 

@@ -12,9 +12,10 @@ import pytest
 
 from jaxgrow.energy.parameters import Parameters
 from jaxgrow.growth.grow import grow
+from jaxgrow.lesions.myoma import Myoma
 from jaxgrow.runtime import compilations
 from jaxgrow.runtime.compilations import count_compilations, forget_compiled
-from jaxgrow.scene.scene import Myoma, Scene
+from jaxgrow.scene.scene import Scene
 
 
 CLUSTER = Scene(organ=None, lesion=Myoma(divisions=3))

@@ -8,8 +8,9 @@ import pytest
 
 from jaxgrow.equilibrium.relax import relax
 from jaxgrow.growth.grow import grow
+from jaxgrow.lesions.myoma import Myoma
 from jaxgrow.runtime.forks import refuse_forked
-from jaxgrow.scene.scene import Myoma, Scene
+from jaxgrow.scene.scene import Scene
 
 
 def test_child_of_a_process_that_has_computed_is_refused():

@@ -5,16 +5,13 @@ import numpy as np
 import pytest
 
 from jaxgrow.energy.parameters import Parameters
-from jaxgrow.growth.division import (
-    choose_myoma,
+from jaxgrow.lesions.division import Division, point_on_sphere
+from jaxgrow.lesions.myoma import choose_myoma, divide_myoma, HALF_DISTANCE
+from jaxgrow.lesions.polyp import (
     choose_polyp,
     daughter_of_source,
-    divide_myoma,
     divide_polyp,
     divide_polyp_to,
-    Division,
-    HALF_DISTANCE,
-    point_on_sphere,
     source_normal,
 )
 from jaxgrow.mesh.intersection import intersecting_pairs

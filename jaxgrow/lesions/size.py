@@ -16,7 +16,6 @@ from jaxgrow.mesh.quality import area_vectors
 from jaxgrow.mesh.topology import build_topology
 from jaxgrow.numerics.guards import safe_norm
 from jaxgrow.runtime.types import Scalar
-from jaxgrow.scene.scene import Myoma, Scene
 from jaxgrow.state import Species, State
 from jaxgrow.transfer.device import get, get_particles, get_surface, put
 
@@ -105,29 +104,18 @@ def diameter(points: Float[np.ndarray, "n 3"]) -> float:
     return float(pdist(points[list(farthest(points))])[0])
 
 
-def size_of(scene: Scene, state: State) -> Scalar:
-    """Largest diameter of the lesion, in r0.
-
-    Of a polyp: of the raised surface, which is what is seen of it. Of a myoma: of its
-    body, the tumour particles with their own diameter r0, part of which stays under
-    the surface.
-
-    It is a number; where a derivative of the state is taken, a scalar with the same
-    value and the derivative of the distance between the two farthest points.
-    """
-    if isinstance(scene.lesion, Myoma):
-        particles = state.particles
-        tumour = get(particles.alive) & (get(particles.species) == Species.TUMOUR)
-        return _diameter_of(particles.position, np.flatnonzero(tumour)) + 1.0
-    assert state.membrane is not None
-    alive = np.flatnonzero(get(state.membrane.vertex_alive))
-    return _diameter_of(state.membrane.vertices, alive[raised(state)])
-
-
-def _diameter_of(
+def diameter_of(
     positions: Float[Array, "n 3"], chosen: Int[np.ndarray, " k"]
 ) -> Scalar:
-    """Largest distance among some rows."""
+    """Return the largest distance among some rows, in r0.
+
+    It is a number; where a derivative of the positions is taken, a scalar with the
+    same value and the derivative of the distance between the two farthest rows.
+
+    Args:
+        positions: in r0.
+        chosen: rows.
+    """
     points = get(positions)[chosen]
     number = diameter(points)
     if number == 0 or not is_differentiated(positions):

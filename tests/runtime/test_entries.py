@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import pydantic
 import pytest
 
-from jaxgrow.scene.entries import validated
+from jaxgrow.runtime.entries import validated
 
 
 class DrawingError(ValueError):

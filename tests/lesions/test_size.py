@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
 
-from jaxgrow.growth.lesion import (
+from jaxgrow.lesions.myoma import Myoma
+from jaxgrow.lesions.polyp import Polyp
+from jaxgrow.lesions.size import (
     diameter,
     height_above,
     lesion_vertices,
     raised,
-    size_of,
 )
 from jaxgrow.mesh.surface import Surface
-from jaxgrow.scene.scene import Myoma, Polyp, Scene
 from jaxgrow.state import FormerSurface, Frame, Species, State
 from jaxgrow.transfer.device import put_membrane, put_particles
 
@@ -99,14 +99,12 @@ def test_surface_lower_than_half_r0_is_not_raised(state):
 
 
 def test_size_of_a_polyp_is_the_diameter_of_its_raised_surface(state):
-    scene = Scene(lesion=Polyp(divisions=1))
-    assert size_of(scene, state) == 2.0
+    assert Polyp(divisions=1).size(state) == 2.0
 
 
 def test_size_of_a_myoma_is_the_diameter_of_its_body(state):
-    scene = Scene(lesion=Myoma(divisions=1))
     wanted = np.linalg.norm([3.0, 0, 1.9]) + 1
-    assert size_of(scene, state) == pytest.approx(wanted, rel=1e-14)
+    assert Myoma(divisions=1).size(state) == pytest.approx(wanted, rel=1e-14)
 
 
 def test_size_of_a_polyp_carries_the_derivative_of_its_diameter(state):
@@ -118,7 +116,7 @@ def test_size_of_a_polyp_carries_the_derivative_of_its_diameter(state):
             state,
             state.membrane.vertices * across[None, :],
         )
-        return size_of(Scene(lesion=Polyp(divisions=1)), wider)
+        return Polyp(divisions=1).size(wider)
 
     value, slope = jax.value_and_grad(size)(jnp.ones(()))
     assert value == 2.0
@@ -130,7 +128,7 @@ def test_size_of_a_myoma_carries_the_derivative_of_its_diameter(state):
         wider = eqx.tree_at(
             lambda s: s.particles.position, state, factor * state.particles.position
         )
-        return size_of(Scene(lesion=Myoma(divisions=1)), wider)
+        return Myoma(divisions=1).size(wider)
 
     value, slope = jax.value_and_grad(size)(jnp.ones(()))
     assert value == size(1.0)
@@ -168,6 +166,7 @@ def test_height_has_the_sign_of_the_side():
 
 
 def test_size_in_a_growth_is_that_of_its_state(tiny_polyp):
-    size = size_of(tiny_polyp.scene, tiny_polyp.state) * tiny_polyp.scene.r0_mm
+    scene = tiny_polyp.scene
+    size = scene.lesion.size(tiny_polyp.state) * scene.r0_mm
     assert tiny_polyp.size_mm == size
-    assert tiny_polyp.history[-1]["size_mm"] == size
+    assert tiny_polyp.history[-1].size_mm == size

@@ -14,6 +14,18 @@ Positive: TypeAlias = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)
 _Model = TypeVar("_Model", bound=pydantic.BaseModel)
 
 
+class Model(pydantic.BaseModel):
+    """A table of a file: frozen, strict, and without entries that are not known."""
+
+    model_config = pydantic.ConfigDict(
+        frozen=True, strict=True, extra="forbid", arbitrary_types_allowed=True
+    )
+
+
+class SceneError(ValueError):
+    """A scene that cannot be grown; its message is the sentence for the user."""
+
+
 def read_toml(path: Path, kind: str, error: type[ValueError]) -> dict[str, Any]:
     """The entries of a file as they stand there, unchecked.
 

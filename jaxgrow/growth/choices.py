@@ -1,0 +1,301 @@
+"""Where the discrete choices of a growth come from: drawn, or recorded.
+
+A growth, its replay, its derivative and its continuation are the same loop
+(`jaxgrow.growth.loop`); they differ in who chooses. `Drawn` draws from a generator and
+keeps what it chose; `Recorded` repeats what was kept.
+"""
+
+import copy
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxgrow.growth.boundary import BoundaryCheck
+from jaxgrow.growth.events import Event, Events, InitialRecord
+from jaxgrow.growth.history import StepRecord
+from jaxgrow.growth.initial_state import (
+    InitialState,
+    make_free_cluster,
+    make_initial_state,
+    relax_layout,
+)
+from jaxgrow.growth.patch_enlargement import enlarge_again, enlarge_patch
+from jaxgrow.growth.settling import FairingResult, settle, settle_again
+from jaxgrow.growth.setup import GrowthState, Setup
+from jaxgrow.growth.stopping import stagnates, STAGNATION, stop_reason, Stopping
+from jaxgrow.lesions.division import Division
+from jaxgrow.runtime.results import Result
+from jaxgrow.runtime.timer import Clock
+from jaxgrow.transfer.device import get_positions
+
+
+ENLARGEMENTS = 5
+"""How often the patch follows a force on its border, or a tumour that comes near it."""
+
+
+class Choices(Protocol):
+    """Who decides in a growth."""
+
+    checks_boundary: bool
+    """Whether the border of the patch is looked at after a step."""
+
+    def start(self, setup: Setup) -> InitialState:
+        """Return the state that growth starts from."""
+        ...
+
+    def stop(self, setup: Setup, stopping: Stopping) -> Result:
+        """Return why the growth ends before the next step; CONVERGED if it goes on."""
+        ...
+
+    def divisions(
+        self, setup: Setup, now: GrowthState, count: int
+    ) -> tuple[Division, ...] | None:
+        """Return the divisions of the next step; None if there is no room for any."""
+        ...
+
+    def settle(self, setup: Setup, now: GrowthState, clock: Clock) -> FairingResult:
+        """Return the equilibrium after a division, faired."""
+        ...
+
+    def after_failure(self, result: Result, history: Sequence[StepRecord]) -> Result:
+        """Return the name of a failed step's result."""
+        ...
+
+    def enlarge(
+        self,
+        setup: Setup,
+        now: GrowthState,
+        check: BoundaryCheck | None,
+        history: Sequence[StepRecord],
+        clock: Clock,
+    ) -> tuple[GrowthState, Result, int] | None:
+        """Enlarge the patch after a step, or after the start.
+
+        Args:
+            setup: of the growth.
+            now: where it stands.
+            check: what the border feels; None if nobody looked.
+            history: of the steps before.
+            clock: counts the seconds.
+
+        Returns:
+            The state, why there is none if so, and how often it was enlarged; None if
+            the patch stays as it is.
+        """
+        ...
+
+    def keep(self, event: Event) -> None:
+        """Keep the choices of a step that succeeded."""
+        ...
+
+    def mark(self) -> None:
+        """Note where the choices stand before a step."""
+        ...
+
+    def rewind(self) -> None:
+        """Go back to the mark: the step was interrupted."""
+        ...
+
+    def events(self, setup: Setup, result: Result) -> Events:
+        """Return all choices."""
+        ...
+
+
+class Drawn:
+    """Choices that are drawn from a generator, and kept.
+
+    Args:
+        rng: the generator.
+    """
+
+    checks_boundary = True
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self.rng = rng
+        self._start = InitialRecord(None, None)
+        self._steps: list[Event] = []
+        self.mark()
+
+    @classmethod
+    def after(cls, events: Events, rng: np.random.Generator) -> "Drawn":
+        """Go on after choices that were made with this generator."""
+        drawn = cls(rng)
+        drawn._start, drawn._steps = events.start, list(events.steps)
+        return drawn
+
+    def start(self, setup: Setup) -> InitialState:
+        """Make the state that growth starts from."""
+        start = make_initial_state(setup, self.rng)
+        if start.layout is not None:
+            positions = get_positions(start.state.particles, start.state.membrane)
+            self._start = InitialRecord(start.layout, positions)
+        return start
+
+    def stop(self, setup: Setup, stopping: Stopping) -> Result:
+        """Stop at the size asked for, at a bound, or where the cavity is full."""
+        return stop_reason(setup.lesion, stopping)
+
+    def divisions(
+        self, setup: Setup, now: GrowthState, count: int
+    ) -> tuple[Division, ...] | None:
+        """Draw who divides, and where to."""
+        lesion = setup.lesion
+        if now.ground is not None:
+            most = lesion.most_at_once(now.ground.thickness, setup.parameters)
+            count = min(count, most)
+        return lesion.choose(now.state, setup.parameters, self.rng, count)
+
+    def settle(self, setup: Setup, now: GrowthState, clock: Clock) -> FairingResult:
+        """Find the equilibrium, and choose how to fair it."""
+        return settle(setup, now, clock)
+
+    def after_failure(self, result: Result, history: Sequence[StepRecord]) -> Result:
+        """Call it CAVITY_FULL where no equilibrium is found any more against a wall."""
+        if result is Result.STEP_LIMIT and stagnates(history, STAGNATION // 2):
+            return Result.CAVITY_FULL
+        return result
+
+    def enlarge(
+        self,
+        setup: Setup,
+        now: GrowthState,
+        check: BoundaryCheck | None,
+        history: Sequence[StepRecord],
+        clock: Clock,
+    ) -> tuple[GrowthState, Result, int] | None:
+        """Enlarge the patch where its border feels the lesion."""
+        place = self._tight_place(setup, now, check, history)
+        if place is None:
+            return None
+        wider = enlarge_patch(setup, now, place, self.rng, clock)
+        if isinstance(wider, Result):
+            return now, wider, 0
+        after, record = wider
+        if self._steps:
+            last = self._steps[-1]
+            more = (*last.enlargements, record)
+            self._steps[-1] = last._replace(enlargements=more)
+        else:
+            more = (*self._start.enlargements, record)
+            self._start = self._start._replace(enlargements=more)
+        return after, Result.CONVERGED, 1
+
+    @staticmethod
+    def _tight_place(
+        setup: Setup,
+        now: GrowthState,
+        check: BoundaryCheck | None,
+        history: Sequence[StepRecord],
+    ) -> Float[np.ndarray, "3"] | None:
+        """Return where the patch is to be enlarged before the next step, in r0.
+
+        If a particle left it, there is no other way. A border that feels the lesion is
+        followed a few times; what then is felt still is a stiff surface or a dense
+        tissue.
+        """
+        if check is None or check.place is None:
+            return None
+        enlarged = sum("patch_enlarged" in record.mended for record in history)
+        assert now.ground is not None
+        bottom = now.ground.is_below(check.place)
+        ignored = enlarged >= ENLARGEMENTS or (bottom and setup.lesion.pushes_off)
+        return check.place if check.crossed or not ignored else None
+
+    def keep(self, event: Event) -> None:
+        """Keep the choices of a step that succeeded."""
+        self._steps.append(event)
+
+    def mark(self) -> None:
+        """Note the generator's state, and what was kept."""
+        kept = self._start, list(self._steps)
+        self._mark = copy.deepcopy(self.rng.bit_generator.state), kept
+
+    def rewind(self) -> None:
+        """Go back to the mark: the step was interrupted."""
+        self.rng.bit_generator.state, (self._start, self._steps) = self._mark
+
+    def events(self, setup: Setup, result: Result) -> Events:
+        """Return all choices."""
+        return Events.of(setup, self._start, tuple(self._steps), result)
+
+
+class Recorded:
+    """Choices of a growth, repeated.
+
+    Args:
+        events: of the growth.
+    """
+
+    checks_boundary = False
+
+    def __init__(self, events: Events) -> None:
+        self._events = events
+        self._next = 0
+
+    def start(self, setup: Setup) -> InitialState:
+        """Relax the recorded start again."""
+        layout, positions = self._events.start.layout, self._events.start.positions
+        if layout is None:
+            return make_free_cluster(setup.scene)
+        return relax_layout(setup, layout, positions)
+
+    def stop(self, setup: Setup, stopping: Stopping) -> Result:
+        """Stop after the last event, with the recorded result."""
+        if self._next < len(self._events):
+            return Result.CONVERGED
+        return self._events.result
+
+    def divisions(
+        self, setup: Setup, now: GrowthState, count: int
+    ) -> tuple[Division, ...] | None:
+        """Return the divisions of the next event."""
+        self._next += 1
+        return self._last.divisions
+
+    @property
+    def _last(self) -> Event:
+        return self._events.steps[self._next - 1]
+
+    def settle(self, setup: Setup, now: GrowthState, clock: Clock) -> FairingResult:
+        """Find the recorded equilibrium again, with the recorded fairing."""
+        return settle_again(setup, now, self._last.equilibrium, clock)
+
+    def after_failure(self, result: Result, history: Sequence[StepRecord]) -> Result:
+        """Leave it as it is."""
+        return result
+
+    def enlarge(
+        self,
+        setup: Setup,
+        now: GrowthState,
+        check: BoundaryCheck | None,
+        history: Sequence[StepRecord],
+        clock: Clock,
+    ) -> tuple[GrowthState, Result, int] | None:
+        """Make the recorded enlargements again."""
+        last = self._last if self._next else self._events.start
+        for record in last.enlargements:
+            again = enlarge_again(setup, now, record, clock)
+            if again.result is not Result.CONVERGED:
+                return now, again.result, len(last.enlargements)
+            now = again.now
+        if not last.enlargements:
+            return None
+        return now, Result.CONVERGED, len(last.enlargements)
+
+    def keep(self, event: Event) -> None:
+        """Keep nothing: it is recorded."""
+
+    def mark(self) -> None:
+        """Note which event is next."""
+        self._mark = self._next
+
+    def rewind(self) -> None:
+        """Go back to the mark."""
+        self._next = self._mark
+
+    def events(self, setup: Setup, result: Result) -> Events:
+        """Return the events that were repeated."""
+        return self._events

@@ -1,0 +1,140 @@
+"""The growth loop: step after step, until it ends (paper §4)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from jaxgrow.growth.choices import Choices
+from jaxgrow.growth.history import make_record, StepRecord
+from jaxgrow.growth.progress import make_progress, Progress
+from jaxgrow.growth.setup import GrowthState, Setup
+from jaxgrow.growth.step import grow_step
+from jaxgrow.growth.stopping import Bounds, Stopping
+from jaxgrow.runtime.compilations import forget_now_and_then
+from jaxgrow.runtime.results import Result
+from jaxgrow.runtime.timer import Clock
+from jaxgrow.runtime.types import Scalar
+
+
+Watch = Callable[[Progress], object]
+"""Called after every step; True ends the growth."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reached:
+    """How far a growth has come.
+
+    Attributes:
+        now: the last equilibrium.
+        result: CONVERGED if it may go on; else why it ended.
+        history: of its steps.
+        divisions: made so far.
+    """
+
+    now: GrowthState
+    result: Result
+    history: tuple[StepRecord, ...] = ()
+    divisions: int = 0
+
+
+def start_growth(setup: Setup, choices: Choices, clock: Clock) -> Reached:
+    """Make the state that growth starts from.
+
+    Args:
+        setup: of the growth.
+        choices: drawn or recorded.
+        clock: counts the seconds.
+    """
+    with clock.phase("plant"):
+        start = choices.start(setup)
+    now = start.growth_state()
+    if start.outcome is not None and start.outcome.result is not Result.CONVERGED:
+        return Reached(now, start.outcome.result)
+    wider = choices.enlarge(setup, now, None, (), clock)
+    return Reached(now, Result.CONVERGED) if wider is None else Reached(*wider[:2])
+
+
+def run_loop(
+    setup: Setup,
+    reached: Reached,
+    choices: Choices,
+    bounds: Bounds,
+    clock: Clock,
+    watch: Watch | None,
+) -> Reached:
+    """Make steps until the growth ends.
+
+    Args:
+        setup: of the growth.
+        reached: where it stands; it goes on if its result is CONVERGED.
+        choices: drawn or recorded.
+        bounds: where it ends in any case.
+        clock: counts the seconds.
+        watch: is shown every step, and may end the growth.
+    """
+    size = measure(setup, reached.now, clock)
+    try:
+        while reached.result is Result.CONVERGED:
+            forget_now_and_then(len(reached.history))
+            choices.mark()
+            made = (reached.divisions, reached.history)
+            stopping = Stopping(size, *made, bounds, clock.elapsed)
+            result = choices.stop(setup, stopping)
+            if result is not Result.CONVERGED:
+                return replace(reached, result=result)
+            after, record = _next(setup, reached, choices, bounds, clock)
+            reached = after
+            if record is None:
+                return reached
+            size = record.size_mm
+            if watch is not None:
+                told = make_progress(setup.scene, reached.now.state, record, clock)
+                if watch(told) is True and reached.result is Result.CONVERGED:
+                    return replace(reached, result=Result.STOPPED)
+    except KeyboardInterrupt:
+        choices.rewind()
+        return replace(reached, result=Result.INTERRUPTED)
+    return reached
+
+
+def _next(
+    setup: Setup, reached: Reached, choices: Choices, bounds: Bounds, clock: Clock
+) -> tuple[Reached, StepRecord | None]:
+    """Make one step; without a record if there is no room for a division."""
+    lesion, history = setup.lesion, reached.history
+    left = min(lesion.divisions or bounds.divisions, bounds.divisions)
+    count = min(lesion.divisions_per_step, left - reached.divisions)
+    step = grow_step(setup, reached.now, choices, clock, count)
+    now, result, mended = step.now, step.result, dict[str, int]()
+    if step.event is None or step.settled is None:
+        return replace(reached, result=result), None
+    number = reached.divisions + len(step.event.divisions)
+    kept = reached.divisions
+    if result is Result.CONVERGED:
+        choices.keep(step.event)
+        kept = number
+    size = measure(setup, now, clock)
+    result = choices.after_failure(result, history)
+    if step.event.redirected:
+        mended["daughter_redirected"] = 1
+    if result is Result.CONVERGED or (step.check is not None and step.check.crossed):
+        wider = choices.enlarge(setup, now, step.check, history, clock)
+        if wider is not None:
+            now, result, times = wider
+            mended |= {"patch_enlarged": times} if times else {}
+    record = make_record(
+        now.state,
+        step.settled,
+        step.check,
+        division=number,
+        size_mm=size,
+        result=step.result.name,
+        mended=mended,
+        seconds=clock.lap(),
+    )
+    return Reached(now, result, (*history, record), kept), record
+
+
+def measure(setup: Setup, now: GrowthState, clock: Clock) -> Scalar:
+    """Return the largest diameter of the lesion, in mm."""
+    with clock.phase("measure"):
+        return setup.lesion.size(now.state) * setup.scene.r0_mm

@@ -1,0 +1,148 @@
+"""The myoma: a ball under the surface, any of whose particles may divide (paper §4)."""
+
+from typing import ClassVar, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxgrow.energy.parameters import Parameters
+from jaxgrow.lesions.division import (
+    add_particle,
+    Division,
+    first_free_slot,
+    point_on_sphere,
+)
+from jaxgrow.lesions.lesion import Lesion
+from jaxgrow.lesions.size import diameter_of
+from jaxgrow.mesh.proximity import nearest_on_mesh
+from jaxgrow.mesh.surface import Surface
+from jaxgrow.organ import Site, Tissue
+from jaxgrow.runtime.entries import Positive
+from jaxgrow.runtime.types import Scalar
+from jaxgrow.state import Particles, Species, State
+from jaxgrow.transfer.device import get, get_surface
+
+
+HALF_DISTANCE = 0.5
+"""Distance, in r0, by which a dividing myoma particle and its daughter move apart."""
+
+
+class Myoma(Lesion):
+    """A dense ball under the surface: any of its particles may divide.
+
+    Its size is the largest diameter of its body of particles.
+
+    Attributes:
+        depth_mm: of its first particle under the surface; a quarter of its size by
+            default, so that it protrudes into the lumen.
+    """
+
+    kind: Literal["myoma"] = "myoma"
+    depth_mm: Positive | None = None
+
+    mechanics: ClassVar[dict[str, float]] = {"tumour_stiffness": 3.0}
+    particles_across: ClassVar[float] = 7.0
+    needs_organ: ClassVar[bool] = False
+
+    @property
+    def depth(self) -> float:
+        """Depth of its first particle under the surface, in r0."""
+        if self.depth_mm is not None:
+            return self.depth_mm / self.r0_mm
+        return 2.0 if self.target_mm is None else 0.25 * self.target_mm / self.r0_mm
+
+    def extent(self) -> tuple[float, float]:
+        """Return radius and thickness of a patch that holds its body, in r0.
+
+        It pushes tissue aside: its radius and two particles more on every side.
+        """
+        return self.across / 2 + 2.5, self.depth + self.across / 2 + 2.0
+
+    def seed(
+        self, surface: Surface, tissue: Tissue, site: Site
+    ) -> tuple[Surface, Int[np.ndarray, " n"]]:
+        """Make the free particle nearest to its depth under the site the first one."""
+        species = np.full(len(tissue.points), int(Species.TISSUE))
+        free = np.flatnonzero(~tissue.held)
+        centre = -self.depth * site.normal
+        distance = np.linalg.norm(tissue.points[free] - centre, axis=1)
+        species[free[distance.argmin()]] = int(Species.TUMOUR)
+        return surface, species
+
+    def choose(
+        self,
+        state: State,
+        parameters: Parameters,
+        rng: np.random.Generator,
+        count: int,
+    ) -> tuple[Division, ...] | None:
+        """Draw the particles that divide, and where to; none divides twice."""
+        particles, slot = state.particles, first_free_slot(state)
+        of_tumour = get(particles.species) == Species.TUMOUR
+        tumour = np.flatnonzero(get(particles.alive) & of_tumour)
+        clearance = np.full(len(tumour), np.inf)
+        if state.membrane is not None:
+            surface = get_surface(state.membrane)
+            points = get(particles.position)[tumour]
+            clearance, _, _ = nearest_on_mesh(points, surface.vertices, surface.faces)
+        divisions = list[Division]()
+        while len(tumour) and len(divisions) < count:
+            division = choose_myoma(tumour, slot + len(divisions), clearance, rng)
+            divisions.append(division)
+            others = tumour != division.parent
+            tumour, clearance = tumour[others], clearance[others]
+        return tuple(divisions)
+
+    def divide(self, state: State, division: Division, parameters: Parameters) -> State:
+        """Return the state with a particle and its daughter moved apart."""
+        parent, slot = jnp.asarray(division.parent), jnp.asarray(division.slot)
+        offset = jnp.asarray(division.offset)
+        particles = divide_myoma(state.particles, parent, slot, offset)
+        return State(particles, state.membrane, state.frame)
+
+    def size(self, state: State) -> Scalar:
+        """Return the largest diameter of its particles, with their own, in r0."""
+        particles = state.particles
+        tumour = get(particles.alive) & (get(particles.species) == Species.TUMOUR)
+        return diameter_of(particles.position, np.flatnonzero(tumour)) + 1.0
+
+
+@jax.jit
+def divide_myoma(
+    particles: Particles,
+    parent: Int[Array, ""],
+    slot: Int[Array, ""],
+    offset: Float[Array, "3"],
+) -> Particles:
+    """Divide a tumour particle in two, at x + offset (the new one) and x - offset."""
+    centre = particles.position[parent]
+    moved = particles.at(particles.position.at[parent].set(centre - offset))
+    return add_particle(moved, slot, centre + offset)
+
+
+def choose_myoma(
+    tumour: Int[np.ndarray, " t"],
+    slot: int,
+    clearance: Float[np.ndarray, " t"],
+    rng: np.random.Generator,
+) -> Division:
+    """Draw the particle that divides and the direction, both uniform.
+
+    The two move apart by r0/2 each. A particle near the membrane moves by 0.4 of its
+    distance to it at most: both halves stay on their side, which the paper's rule
+    alone does not ensure.
+
+    Args:
+        tumour: slots of the tumour particles alive.
+        slot: of the new particle.
+        clearance: distance of each tumour particle to the membrane, in r0; infinite
+            without one.
+        rng: draws both.
+    """
+    index = int(rng.integers(len(tumour)))
+    length = min(HALF_DISTANCE, 0.4 * float(clearance[index]))
+    x, y, z = length * point_on_sphere(rng)
+    offset = (float(x), float(y), float(z))
+    return Division(slot, int(tumour[index]), offset=offset)
