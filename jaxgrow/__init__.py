@@ -1,7 +1,8 @@
-"""Grows synthetic polyps and myomas into the surface mesh of an organ.
+"""Synthetic polyps and myomas, grown into the surface mesh of an organ.
 
-``import jaxgrow as jg`` does nothing but name things: what is behind a name (and with
-it JAX) is imported when the name is first used. The names are in ``__init__.pyi``.
+Names are resolved lazily: ``import jaxgrow as jg`` imports neither JAX nor a submodule;
+a submodule is imported when a name of it is first used. The names are in
+``__init__.pyi``.
 """
 
 from typing import Any
@@ -13,7 +14,7 @@ _attribute, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 def __getattr__(name: str) -> Any:
-    """Import what a name stands for, at its first use (PEP 562)."""
+    """Import the object behind a public name at its first use (PEP 562)."""
     if name == "__version__":
         from importlib.metadata import PackageNotFoundError, version
 

@@ -1,4 +1,4 @@
-"""``python -m jaxgrow`` is the command ``jaxgrow``."""
+"""Entry point of ``python -m jaxgrow``: the command ``jaxgrow``."""
 
 import sys
 

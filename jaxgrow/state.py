@@ -1,4 +1,4 @@
-"""The state of a growth: immutable pytrees of fixed capacity, with masks.
+"""State of a growth: immutable pytrees of fixed capacity, with masks.
 
 Lengths are in r0 and coordinates relative to the site of the lesion. A slot that is
 not alive is padding: it changes no energy, force or gradient.
@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 
 class Species(enum.IntEnum):
-    """What a particle is."""
+    """Species of a particle."""
 
     TISSUE = 0
     TUMOUR = 1
@@ -23,10 +23,10 @@ ModuleT = TypeVar("ModuleT", bound=eqx.Module)
 
 
 def replaced(module: ModuleT, **changes: Any) -> ModuleT:
-    """Return a copy of a module with other values of some fields.
+    """Return a copy of a module with some fields replaced.
 
     As `dataclasses.replace`, but without the constructor, which takes a quarter of a
-    millisecond: of a few particles that is as long as many steps.
+    millisecond, as long as many relaxation steps of a small system.
     """
     copy = object.__new__(type(module))
     for field in fields(module):
@@ -60,12 +60,12 @@ class Particles(eqx.Module):
         return self.alive & ~self.held
 
     def at(self, position: Float[Array, "n 3"]) -> "Particles":
-        """The same particles elsewhere."""
+        """Return the same particles at other positions."""
         return replaced(self, position=position)
 
 
 class Membrane(eqx.Module):
-    """The triangulated surface that covers all tissue; its normals leave the tissue.
+    """Triangulated surface of the tissue; its normals point out of it.
 
     Attributes:
         vertices: in r0.
@@ -75,7 +75,7 @@ class Membrane(eqx.Module):
             the edge in its direction, and of the other; -1 where there is none.
         rest: rest data of each term of the elasticity that the membrane has, by its
             name (see `jaxgrow.energy.term.MembraneTerm`).
-        vertex_alive: False for padding; likewise `face_alive`, `edge_alive`.
+        vertex_alive: False for padding; `face_alive` and `edge_alive` too.
         pinned: True for the vertices of the rim, which never move.
         source: the vertex that emits a polyp's particles; -1 if there is none.
     """
@@ -110,12 +110,12 @@ class Membrane(eqx.Module):
         return replaced(self, rest=rest)
 
     def at(self, vertices: Float[Array, "m 3"]) -> "Membrane":
-        """The same membrane elsewhere."""
+        """Return the same membrane with its vertices at other positions."""
         return replaced(self, vertices=vertices)
 
 
 class FormerSurface(eqx.Module):
-    """The surface of the patch before growth: heights are measured from it.
+    """Surface of the patch before growth, the reference of heights.
 
     Attributes:
         vertices: in r0.
@@ -127,7 +127,7 @@ class FormerSurface(eqx.Module):
 
 
 class Frame(eqx.Module):
-    """Where the simulated patch lies in the organ, and what its lengths mean.
+    """Position of the patch in the organ, and its unit of length in mm.
 
     Attributes:
         origin: the site of the lesion in the organ's coordinates, in mm.
@@ -143,7 +143,7 @@ class Frame(eqx.Module):
 
 
 class State(eqx.Module):
-    """All that a growth step changes; `membrane` is None for a free cluster."""
+    """Particles, membrane (None for a free cluster) and frame of a growth."""
 
     particles: Particles
     membrane: Membrane | None
@@ -151,7 +151,7 @@ class State(eqx.Module):
 
 
 class Nodes(eqx.Module):
-    """Something per degree of freedom: positions, forces or a displacement, in one.
+    """Array per degree of freedom: positions, forces or displacements.
 
     Attributes:
         particles: one row a particle, or None for a membrane alone.

@@ -1,1 +1,1 @@
-"""Small tools of array programs: guarded formulas, bit masks, sizes that grow."""
+"""Small tools of array programs: guarded formulas, bit masks, capacities."""

@@ -1,7 +1,7 @@
-"""Masks as the bits of words: of few that are true, they are found fast.
+"""Bit masks: sparse Boolean arrays packed into 32-bit words.
 
-The processor's ``jnp.nonzero`` and ``jnp.cumsum`` go through every entry of a mask
-several times; words are counted 32 entries at a time.
+On a CPU ``jnp.nonzero`` and ``jnp.cumsum`` visit every entry of a mask several times;
+words are counted 32 entries at a time.
 """
 
 from typing import NamedTuple
@@ -12,11 +12,11 @@ from jaxtyping import Array, Bool, Int, UInt
 
 
 BITS = 32
-"""Of a word."""
+"""Bits of a word."""
 
 
 class Tally(NamedTuple):
-    """Words, and how many bits are set in them.
+    """Words with the running count of their set bits.
 
     Attributes:
         words: row by row.
@@ -33,7 +33,10 @@ class Tally(NamedTuple):
 
 
 def packed(mask: Bool[Array, "*b n"]) -> UInt[Array, "*b w"]:
-    """The words of a mask, along its last axis; entry 32 w + j is bit j of word w."""
+    """Pack a mask into words along its last axis.
+
+    Entry 32 w + j is bit j of word w.
+    """
     *batch, count = mask.shape
     spare = [(0, 0)] * len(batch) + [(0, -count % BITS)]
     bits = jnp.pad(mask, spare).reshape(*batch, -1, BITS).astype(jnp.uint32)
@@ -43,14 +46,14 @@ def packed(mask: Bool[Array, "*b n"]) -> UInt[Array, "*b w"]:
 
 
 def count_bits(words: UInt[Array, "*n"]) -> Int[Array, "*n"]:
-    """How many bits of each word are set."""
+    """Count the set bits of each word (population count)."""
     return jax.lax.population_count(words).astype(jnp.int32)
 
 
 def bit_of_rank(words: UInt[Array, "*n"], rank: Int[Array, "*n"]) -> Int[Array, "*n"]:
-    """Which bit of each word is the one with so many set bits below it."""
+    """Find the set bit of each word that has ``rank`` set bits below it."""
     bit = jnp.zeros(words.shape, jnp.int32)
-    for half in (16, 8, 4, 2, 1):  # in which half of what is left it is
+    for half in (16, 8, 4, 2, 1):  # binary search: lower or upper half
         low = count_bits(words & jnp.uint32((1 << half) - 1))
         above = rank >= low
         rank = jnp.where(above, rank - low, rank)
@@ -62,11 +65,14 @@ def bit_of_rank(words: UInt[Array, "*n"], rank: Int[Array, "*n"]) -> Int[Array, 
 def first_true(
     mask: Bool[Array, "b n"], room: int
 ) -> tuple[Int[Array, "b k"], Int[Array, " b"]]:
-    """Where each row is true, ascending, n behind the last; and how often it is.
+    """List where each row is true, ascending, and count it.
 
     Args:
         mask: row by row.
         room: how many entries of a row are wanted at most.
+
+    Returns:
+        The places, padded by n, and the number of true entries of each row.
     """
     words = packed(mask)
     upto = jnp.cumsum(count_bits(words), axis=1, dtype=jnp.int32)
@@ -82,26 +88,26 @@ def first_true(
 
 
 def counted(words: UInt[Array, " w"]) -> Tally:
-    """The words with the counts of their bits."""
+    """Return words with the running count of their set bits."""
     return Tally(words, jnp.cumsum(count_bits(words), dtype=jnp.int32))
 
 
 def set_bits(
     tally: Tally, size: int, start: int | Array = 0
 ) -> tuple[Int[Array, " s"], Int[Array, " s"]]:
-    """The bits that are set, word by word, from the number `start` on.
+    """List the set bits, word by word, from number `start` on.
 
     Args:
         tally: of the words.
         size: how many of them are wanted.
-        start: how many are left out.
+        start: how many are skipped.
 
     Returns:
         The word of each and its bit, both 0 for padding.
     """
     number = start + jnp.arange(size, dtype=jnp.int32)
     real = number < tally.total
-    # a loop: unrolled, the compiler would search again for every use of the place
+    # method="scan": unrolled, the compiler repeats the search for every use of `place`
     place = jnp.searchsorted(tally.upto, number, side="right", method="scan")
     place = jnp.where(real, place, 0).astype(jnp.int32)
     word = tally.words[place]
@@ -111,9 +117,9 @@ def set_bits(
 
 
 def list_true(mask: Bool[Array, " n"], size: int) -> tuple[Int[Array, " s"], Array]:
-    """Where a mask is true, ascending, then 0; and how often it is.
+    """List where a mask is true, ascending, padded by 0; and count it.
 
-    As ``jnp.nonzero``, which the processor does slowly.
+    As ``jnp.nonzero``, which is slow on a CPU.
     """
     tally = counted(packed(mask))
     place, bit = set_bits(tally, size)

@@ -1,8 +1,8 @@
-"""Sizes of arrays that grow: few of them, because each is a compilation."""
+"""Capacities of growing arrays: few sizes, because each is a compilation."""
 
 
 def capacity_for(size: int, least: int) -> int:
-    """The smallest of `least`, `least` · 3/2, `least` · 9/4, … that holds `size`."""
+    """Return the least of `least` · (3/2)ⁱ, rounded down, that holds `size`."""
     capacity = least
     while capacity < size:
         capacity = capacity * 3 // 2

@@ -1,4 +1,4 @@
-"""Guards: of precision, and for the few points where a formula is singular."""
+"""Guards of precision, and of formulas at their singular points."""
 
 import jax.numpy as jnp
 from jax.typing import DTypeLike
@@ -10,7 +10,7 @@ def safe_divide(
     denominator: Float[Array, "*shape"],
     where: Bool[Array, "*shape"],
 ) -> Float[Array, "*shape"]:
-    """Quotient where ``where`` holds, 0 elsewhere, with finite derivatives in both.
+    """Divide where ``where`` holds, else return 0; derivatives are finite.
 
     The denominator, not the quotient, is replaced: a ``where`` around the quotient
     alone lets the NaN of the branch not taken through into the derivative.
@@ -19,7 +19,7 @@ def safe_divide(
 
 
 def safe_norm(vector: Float[Array, "*shape 3"]) -> Float[Array, "*shape"]:
-    """Euclidean length, with gradient 0 (not NaN) at the null vector.
+    """Return the Euclidean norm, with gradient 0 (not NaN) at the null vector.
 
     The singularity is the direction of a vector of length 0: two particles at the
     same position, a spring of length 0, a particle on the membrane. A vector that is
@@ -29,19 +29,21 @@ def safe_norm(vector: Float[Array, "*shape 3"]) -> Float[Array, "*shape"]:
 
 
 def safe_root(square: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """Square root, with derivative 0 at 0: a length from the square of a length."""
+    """Return the square root, with derivative 0 at 0."""
     some = square != 0
     return jnp.where(some, jnp.sqrt(jnp.where(some, square, 1)), 0)
 
 
 def farthest_two(moved: Float[Array, "n 3"]) -> Float[Array, ""]:
-    """Sum of the two longest moves: how much nearer any two of the points came.
+    """Return the sum of the two largest displacements.
 
-    A single point that moves (a daughter) so may go twice as far, before a list does
-    not hold, as it could if each might go half of the list's skin.
+    It bounds how much nearer any two of the points came.
+
+    A single point that moves (a daughter) may so go the whole skin before a list
+    becomes invalid, twice as far as if each point were allowed half of the skin.
     """
     square = jnp.sum(moved**2, axis=1)
-    # not argmax, for which the processor takes two and a half times as long
+    # not argmax, which takes two and a half times as long on a CPU
     first = jnp.max(square)
     below = square < first
     second = jnp.max(jnp.where(below, square, 0))
@@ -50,7 +52,7 @@ def farthest_two(moved: Float[Array, "n 3"]) -> Float[Array, ""]:
 
 
 def smallest_distance(dtype: DTypeLike) -> float:
-    """Distance that stands for 0 where a power or a logarithm of it is taken.
+    """Return the distance that replaces 0 in a power or a logarithm.
 
     Small enough that a barrier still repels at any distance that coordinates can
     resolve, and large enough that the square of its force does not overflow.
@@ -59,10 +61,10 @@ def smallest_distance(dtype: DTypeLike) -> float:
 
 
 def check_precision(dtype: DTypeLike) -> None:
-    """Refuse arrays of 64 bits where JAX computes in 32.
+    """Raise if arrays have 64 bits where JAX computes in 32.
 
     Raises:
-        ValueError: it does, and would round some of them and not others.
+        ValueError: JAX would round some of the arrays and not others.
     """
     if jnp.finfo(dtype).bits > 32 and jnp.result_type(float) != jnp.float64:
         raise ValueError(

@@ -1,1 +1,1 @@
-"""What every layer may use: results, types, caches, timers, warnings."""
+"""Ground layer: results, types, caches, timers and warnings."""

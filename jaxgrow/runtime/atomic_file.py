@@ -1,4 +1,4 @@
-"""Files that are either whole or not there at all."""
+"""Atomic writing of files."""
 
 import os
 from collections.abc import Callable
@@ -9,7 +9,7 @@ from typing import IO
 def write_atomically(
     path: str | os.PathLike[str], write: Callable[[IO[bytes]], object]
 ) -> None:
-    """Write a file so that it is either whole or not there at all.
+    """Write a file atomically: it is complete, or absent.
 
     ``write`` fills a temporary file in the target's folder (a rename is atomic only
     within one file system), which is flushed to the disk and then takes the target's

@@ -1,4 +1,4 @@
-"""The programs that XLA compiles or loads: counted, and forgotten in time."""
+"""Count of the programs that XLA compiles, and their eviction from memory."""
 
 import gc
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ _EVENT = "/jax/core/compile/backend_compile_duration"
 
 @dataclass
 class Compilations:
-    """A running count of compiled programs."""
+    """Running count of compiled programs."""
 
     count: int = 0
 
@@ -45,19 +45,20 @@ _left = 0
 
 
 def forget_compiled(share: float = 0.5) -> bool:
-    """Drop compiled programs if they use up what Linux lets a process map.
+    """Drop compiled programs near the limit of memory mappings.
 
     A program maps three regions of memory for each of its loops, a relaxation a
     thousand. At the limit (usually 65 530) XLA aborts, or crashes later, when an
-    exception is unwound. What is needed again is compiled again, or loaded from the
-    cache on disk; derivatives that are being taken go on. What is still mapped after
-    that, by other libraries or programs in use, is no reason to do it again.
+    exception is unwound. A dropped program that is needed again is recompiled, or
+    loaded from the cache on disk; a differentiation in progress is not affected.
+    Regions that stay mapped, by other libraries or programs in use, do not trigger
+    another drop.
 
     Args:
         share: of the limit that must be exceeded, both without what was left last time.
 
     Returns:
-        Whether they were dropped. Never, where there are no such files.
+        Whether they were dropped; always False where ``/proc`` is missing.
     """
     global _left
     if not (_MAPPED.exists() and _MOST_MAPPED.exists()):
@@ -73,15 +74,15 @@ def forget_compiled(share: float = 0.5) -> bool:
 
 
 def _mapped() -> int:
-    """Regions of memory that this process maps."""
+    """Count the memory regions that this process maps."""
     return _MAPPED.read_bytes().count(b"\n")
 
 
 _OFTEN = 16
-"""Iterations from one look to the next, which takes some milliseconds."""
+"""Iterations between two checks, each of which takes some milliseconds."""
 
 
 def forget_now_and_then(iterations: int) -> None:
-    """`forget_compiled` before the first iteration, and before some later ones."""
+    """Call `forget_compiled` once every few iterations."""
     if iterations % _OFTEN == 0:
         forget_compiled()

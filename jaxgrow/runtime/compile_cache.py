@@ -1,4 +1,4 @@
-"""Where compiled programs are kept between runs."""
+"""Persistent cache of compiled programs."""
 
 import contextlib
 import functools
@@ -16,13 +16,13 @@ _OF_JAX = "JAX_COMPILATION_CACHE_DIR"
 
 
 def compile_cache() -> Path | None:
-    """Folder of compiled programs; None if ``JAXGROW_XLA_CACHE`` is ``off``.
+    """Return the cache folder, or None if ``JAXGROW_XLA_CACHE=off``.
 
     ``JAX_COMPILATION_CACHE_DIR`` or ``JAXGROW_XLA_CACHE`` choose another folder. By
     default there is one for each version of jaxlib and kind of processor, because
     programs compiled for another one may crash: below the user's home, or among the
-    temporary files if there is none that may be written to. It is None, too, where
-    nothing may be written.
+    temporary files if the home cannot be written to. The result is None, too, if
+    neither can be written to.
 
     Warns:
         SlowPathWarning: ``JAXGROW_XLA_CACHE`` chooses a folder that cannot be
@@ -50,7 +50,7 @@ def compile_cache() -> Path | None:
         processor += next((line for line in lines if line.startswith("flags")), "")
     kind = hashlib.sha256(processor.encode()).hexdigest()[:8]
     kind = f"jaxlib-{version('jaxlib')}-{kind}"
-    # who is a number without a name, as in some containers, has no home
+    # a user id without a name, as in some containers, has no home
     with contextlib.suppress(RuntimeError):
         folder = Path.home() / ".cache/jaxgrow/xla" / kind
         if may_be_written(folder):
@@ -61,13 +61,13 @@ def compile_cache() -> Path | None:
 
 @functools.cache
 def keep_programs() -> None:
-    """Have JAX keep every program that it compiles in the folder of `compile_cache`.
+    """Make JAX keep all compiled programs in `compile_cache`'s folder.
 
     Call it once, at the top of a script or a notebook: its next run reads the programs
-    from there. A first gradient takes half of the time then. The command does it
-    anyway. Where JAX was told of another folder (`jax.config`), that is left as it is.
-    It sets `jax_compilation_cache_dir` and, as most of the programs compile in less
-    than the second from which JAX keeps them, its least time and size.
+    from there, which halves the time of a first gradient. The command ``jaxgrow`` calls
+    it itself. A folder already set by `jax.config` is kept. It sets
+    `jax_compilation_cache_dir` and, as most of the programs compile in less than the
+    second from which JAX keeps them, its least time and size.
 
     Warns:
         SlowPathWarning: as `compile_cache`.
@@ -86,10 +86,10 @@ def keep_programs() -> None:
 
 
 def private_folder(name: str) -> Path | None:
-    """Folder among the temporary files that only this user may write to.
+    """Return a temporary folder that only this user may write to.
 
-    It is the same in every process of the user. What is kept there is executed later,
-    so one that belongs to somebody else, or that others may write to, is not used.
+    It is the same in every process of the user. Its content is executed later, so a
+    folder that belongs to another user, or that others may write to, is refused.
 
     Args:
         name: of the folder, within that of jaxgrow.
@@ -113,7 +113,10 @@ def private_folder(name: str) -> Path | None:
 
 
 def may_be_written(folder: Path) -> bool:
-    """Whether files can be made in it, or in the first above it that exists."""
+    """Return whether files can be created in a folder.
+
+    If it does not exist, its first existing parent decides.
+    """
     absolute = folder.absolute()
     for there in (absolute, *absolute.parents):
         if os.path.lexists(there):

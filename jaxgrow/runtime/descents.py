@@ -1,4 +1,4 @@
-"""Which path the descents of a growth ran on: compiled loops, or programs of XLA."""
+"""Count of descents by path: compiled loop, or program of XLA."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,11 +9,11 @@ from typing import Any
 
 @dataclass
 class Descents:
-    """A running count of descents by L-BFGS, which there are loops for.
+    """Running count of L-BFGS descents by the path they ran on.
 
     Attributes:
-        by_loop: that ran as one compiled loop.
-        by_program: that XLA ran, several times slower.
+        by_loop: number that ran as one compiled loop.
+        by_program: number that XLA ran, several times slower.
         reason: why the last of these was not run by the loop; None if none.
         terms: how each term of the energy was evaluated, by "loop" or by "XLA".
     """
@@ -24,7 +24,7 @@ class Descents:
     terms: dict[str, str] = field(default_factory=dict)
 
     def entry(self) -> dict[str, Any]:
-        """What a report says of it: whether loops ran, how often, and why not."""
+        """Return the entry of a report: whether loops ran, how often, why not."""
         return {"ran": self.by_loop > 0 and self.by_program == 0, **asdict(self)}
 
 

@@ -1,7 +1,7 @@
-"""Processes that were forked from one that had already computed.
+"""Refusal to compute in forked processes.
 
-XLA computes on threads, and a fork copies none of them: the first program of the child
-would wait for ever.
+XLA computes on threads, and a fork copies none of them: the first program of a child
+whose parent had computed would wait for ever.
 """
 
 import os
@@ -12,7 +12,7 @@ _computes_in: int | None = None
 
 
 def refuse_forked() -> None:
-    """Refuse to compute in a process forked from one that did.
+    """Refuse to compute in a process forked from one that computed.
 
     Raises:
         RuntimeError: this is such a process.

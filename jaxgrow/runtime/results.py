@@ -1,11 +1,11 @@
-"""Why a computation ended: the sentence that a user reads."""
+"""Result codes of a computation, with the sentence that a user reads."""
 
 import enum
 from typing import SupportsInt
 
 
 class Result(enum.Enum):
-    """The outcome of a relaxation or of a growth.
+    """Outcome of a relaxation or of a growth.
 
     Compiled code carries `code`; `Result.of` turns it back. Only CONVERGED and
     REACHED are successes.
@@ -92,7 +92,7 @@ class Result(enum.Enum):
 
     @classmethod
     def of(cls, code: SupportsInt) -> "Result":
-        """The member that has this code."""
+        """Return the member with this code."""
         return next(member for member in cls if member.code == int(code))
 
     @property

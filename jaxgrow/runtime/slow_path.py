@@ -1,6 +1,6 @@
-"""Warnings about a machine on which growths are slower, or less proven, than elsewhere.
+"""Warnings about slow paths and unvalidated versions.
 
-Each sentence is said once in a process, whoever comes upon it first.
+Each sentence is issued once per process.
 """
 
 import functools
@@ -8,16 +8,16 @@ import warnings
 
 
 class SlowPathWarning(UserWarning):
-    """Something that makes growths here slower than they could be."""
+    """Warning of a condition that makes growths slower than they could be."""
 
 
 class UnvalidatedVersionWarning(UserWarning):
-    """A version of jaxlib that the compiled loops have not been tested with."""
+    """Warning of a jaxlib that the compiled loops are untested with."""
 
 
 @functools.cache
 def warn_once(sentence: str, category: type[Warning] = SlowPathWarning) -> None:
-    """Warn of it, if nobody did before in this process.
+    """Issue a warning, once per process for each sentence.
 
     Args:
         sentence: what happened, what it costs and what to do.

@@ -1,4 +1,4 @@
-"""Seconds by phase of a growth."""
+"""Wall-clock seconds by phase of a growth."""
 
 import time
 from collections import defaultdict
@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 
 class Clock:
-    """Seconds by phase, in all and since the last record.
+    """Timer of phases: seconds in all, and since the last record.
 
     Attributes:
         total: seconds of every phase since the start.
@@ -21,7 +21,7 @@ class Clock:
 
     @contextmanager
     def phase(self, name: str) -> Iterator[None]:
-        """Count the time of what is done inside."""
+        """Add the duration of the block to a phase."""
         start = time.perf_counter()
         yield
         spent = time.perf_counter() - start
@@ -29,7 +29,7 @@ class Clock:
         self.recent[name] += spent
 
     def lap(self) -> dict[str, float]:
-        """Seconds by phase since the last lap."""
+        """Return the seconds by phase since the last lap, and restart it."""
         recent = dict(self.recent)
         self.recent.clear()
         return recent

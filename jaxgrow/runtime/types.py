@@ -1,4 +1,4 @@
-"""Names of types that several modules share."""
+"""Type aliases that several modules share."""
 
 from collections.abc import Sequence
 from typing import Any, TypeAlias
