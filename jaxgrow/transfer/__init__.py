@@ -1,1 +1,1 @@
-"""Arrays between host and device: checked, padded, put and got."""
+"""Arrays between host and device: checks, padding, `put_*` and `get_*`."""

@@ -1,8 +1,8 @@
-"""Arrays that a user gives, checked before they are used: a sentence for each fault.
+"""Validation of the arrays that a user gives, with a sentence per fault.
 
-What an array must be is read from its annotation in `jaxgrow.state`. NumPy arrays and
-lists are put on the device; real numbers get the precision of the positions. What JAX
-traces has no values yet: its shape and dtype are checked alone.
+The wanted shape and dtype are read from the annotations in `jaxgrow.state`. NumPy
+arrays and lists are put on the device; real numbers get the precision of the positions.
+Traced arrays have no values yet: only their shape and dtype are checked.
 """
 
 import dataclasses
@@ -25,13 +25,13 @@ Body = TypeVar("Body", Particles, Membrane)
 Numbers = TypeVar("Numbers", np.ndarray, Array)
 
 MAKERS = {Particles: "make_particles(position)", Membrane: "make_membrane(...)"}
-"""What makes a body from the arrays that a user has."""
+"""Constructor of each body, for messages."""
 
 PRECISIONS = (np.dtype(np.float32), np.dtype(np.float64))
 """Dtypes that positions may have, the wider one last."""
 
 ROWS = {"n": "particle", "m": "vertex", "f": "face", "e": "edge"}
-"""What the letters of annotations count."""
+"""Rows that the letters of annotations count."""
 
 RANGES: dict[str, tuple[int, int | str]] = {
     "species": (0, len(Species)),
@@ -45,12 +45,12 @@ another field."""
 
 
 class Kind(NamedTuple):
-    """A kind of numbers.
+    """Kind of numbers that an annotation asks for.
 
     Attributes:
-        of: the kinds of dtypes that are taken for it, as NumPy abbreviates them.
-        words: what it is, in a sentence.
-        advice: what to call where it is another.
+        of: the kinds of dtypes that are accepted, by NumPy's codes.
+        words: its description in a message.
+        advice: the conversion to call for other dtypes.
     """
 
     of: str
@@ -63,15 +63,15 @@ KINDS = {
     "Int": Kind("iu", "integers", ".astype(int)"),
     "Bool": Kind("b", "booleans", ".astype(bool) if it is a mask"),
 }
-"""By the name that annotations have for it."""
+"""Kinds by the name of their annotation."""
 
 
 class Leaf(NamedTuple):
-    """An array of a body, as its field is annotated.
+    """Annotated array field of a body.
 
     Attributes:
         name: of the field.
-        kind: of its numbers, see `KINDS`.
+        kind: a key of `KINDS`.
         shape: a number or a letter for each dimension.
     """
 
@@ -83,14 +83,14 @@ class Leaf(NamedTuple):
 def accept_bodies(
     particles: Any, membrane: Any
 ) -> tuple[Particles | None, Membrane | None]:
-    """Check the arrays of particles and membrane, and put them on the device.
+    """Validate particles and membrane, and put them on the device.
 
-    If one has positions of 32 bits and the other of 64, both get 64. What is right as
-    it is comes back itself.
+    If one has positions of 32 bits and the other of 64, both get 64. A body that needs
+    no change is returned itself.
 
     Raises:
-        ValueError: one is something else, or an array of it has another shape, other
-            numbers, or (where it is not traced) numbers out of range.
+        ValueError: one has another type, or an array of it another shape, another kind
+            of numbers, or (unless traced) values out of range.
     """
     _check_type("particles", particles, Particles)
     _check_type("membrane", membrane, Membrane)
@@ -112,10 +112,10 @@ def accept_bodies(
 
 
 def accept_vectors(name: str, given: Any, positions: Array | None) -> Array | None:
-    """Check vectors that act on nodes: one for every position, padding included.
+    """Validate vectors that act on nodes: one per position, with padding.
 
     Args:
-        name: of the vectors, for a sentence.
+        name: of the vectors, for messages.
         given: the vectors; None for none.
         positions: of the nodes; None if there are no such nodes.
 
@@ -123,7 +123,8 @@ def accept_vectors(name: str, given: Any, positions: Array | None) -> Array | No
         The vectors in the precision of the positions.
 
     Raises:
-        ValueError: there are more or fewer than positions, or they are no real numbers.
+        ValueError: there are more or fewer than positions, or they are not real
+            numbers.
     """
     array = None if given is None else on_device(name, given)
     shape, wanted = (None if a is None else a.shape for a in (array, positions))
@@ -138,10 +139,10 @@ def accept_vectors(name: str, given: Any, positions: Array | None) -> Array | No
 
 
 def on_host(name: str, given: Any) -> np.ndarray:
-    """The array of NumPy that lists, or something like an array, make.
+    """Convert lists or an array-like object to a NumPy array.
 
     Raises:
-        ValueError: they make none, or one of other things than numbers.
+        ValueError: they cannot be converted, or hold other things than numbers.
     """
     try:
         array = get(given) if isinstance(given, jax.Array) else np.asarray(given)
@@ -155,10 +156,10 @@ def on_host(name: str, given: Any) -> np.ndarray:
 
 
 def on_device(name: str, given: Any) -> Array:
-    """The same on the device; lists may hold what JAX traces.
+    """Convert to an array on the device; lists may hold traced values.
 
     Raises:
-        ValueError: as of `on_host`.
+        ValueError: as `on_host`.
     """
     if isinstance(given, jax.Array):
         return given
@@ -168,10 +169,10 @@ def on_device(name: str, given: Any) -> Array:
 
 
 def precision_of(name: str, given: Any) -> np.dtype:
-    """The dtype of positions, or that which whole numbers get as positions.
+    """Return the dtype of positions; integers get JAX's default float.
 
     Raises:
-        ValueError: they are no real numbers of 32 or 64 bits.
+        ValueError: they are not real numbers of 32 or 64 bits.
     """
     own = on_device(name, given).dtype
     if own.kind in "iu":
@@ -182,7 +183,7 @@ def precision_of(name: str, given: Any) -> np.dtype:
 
 
 def of_kind(name: str, array: Numbers, kind: str, wanted: np.dtype) -> Numbers:
-    """The array with the wanted dtype.
+    """Convert an array to the wanted dtype.
 
     Raises:
         ValueError: it holds numbers of another kind, see `KINDS`.
@@ -201,16 +202,16 @@ def check_shape(
     annotated: tuple[int | str, ...],
     sizes: dict[str, int],
 ) -> None:
-    """Refuse a shape that contradicts the annotation, or the arrays before.
+    """Raise if a shape contradicts the annotation, or earlier arrays.
 
     Args:
-        name: of the array, for a sentence.
-        shape: that it has.
+        name: of the array, for messages.
+        shape: its shape.
         annotated: a number or a letter for each dimension.
-        sizes: what letters stand for in the arrays before, which is added to.
+        sizes: sizes of the letters in earlier arrays; those of this array are added.
 
     Raises:
-        ValueError: it does.
+        ValueError: the shapes differ.
     """
     wanted = tuple(sizes.get(d, d) if isinstance(d, str) else d for d in annotated)
     fits = len(shape) == len(wanted) and all(
@@ -228,10 +229,10 @@ def check_shape(
 
 
 def check_range(name: str, array: np.ndarray | Array, low: int, end: int) -> None:
-    """Refuse values below the first number, or not below the second.
+    """Raise if a value is below `low`, or not below `end`.
 
-    Nobody can change an array of JAX, so that it is looked at once as long as it
-    lives. Of one that is traced nothing is known.
+    Arrays of JAX are immutable, so each is checked once. A traced array passes, as its
+    values are unknown.
 
     Raises:
         ValueError: there is one.
@@ -249,7 +250,7 @@ def check_range(name: str, array: np.ndarray | Array, low: int, end: int) -> Non
 
 
 def check_finite(name: str, array: np.ndarray | Array) -> None:
-    """Refuse values that are not finite; of what is traced nothing is known.
+    """Raise if a value is not finite; a traced array passes.
 
     Raises:
         ValueError: there is one.
@@ -263,11 +264,11 @@ def check_finite(name: str, array: np.ndarray | Array) -> None:
 
 
 _in_range: WeakValueDictionary[tuple[int, int, int], Array] = WeakValueDictionary()
-"""Arrays that were found to be in a range."""
+"""Arrays whose values were found to be in a range."""
 
 _right: set[tuple[Any, ...]] = set()
-"""Signatures of bodies whose arrays have the right shapes and dtypes: as many as there
-are programs compiled for them."""
+"""Signatures of bodies with valid shapes and dtypes: as many as there are programs
+compiled for them."""
 
 
 def _check_type(name: str, given: Any, wanted: type) -> None:
@@ -279,9 +280,11 @@ def _check_type(name: str, given: Any, wanted: type) -> None:
 
 
 def _signature(body: Particles | Membrane | None) -> Any:
-    """Kinds, shapes and dtypes of the arrays; itself if they have none.
+    """Return kinds, shapes and dtypes of the arrays of a body.
 
-    They are compared faster than looked at one by one.
+    A body without arrays returns a unique object.
+
+    Comparing signatures is faster than checking the arrays one by one.
     """
     if body is None:
         return None
@@ -297,7 +300,7 @@ def _signature(body: Particles | Membrane | None) -> Any:
 def _common_precision(
     particles: Particles | None, membrane: Membrane | None
 ) -> np.dtype:
-    """The wider one of the precisions of the positions."""
+    """Return the wider one of the precisions of the positions."""
     own = []
     if particles is not None:
         own.append(precision_of("particles.position", particles.position))
@@ -307,7 +310,10 @@ def _common_precision(
 
 
 def _put_right(body: str, given: Body, precision: np.dtype) -> Body:
-    """The body with all of its arrays right and on the device; itself if they are."""
+    """Convert all arrays of a body and put them on the device.
+
+    A body that needs no change is returned itself.
+    """
     dtypes = {
         "Float": precision,
         "Int": canonicalize_dtype(int),
@@ -332,10 +338,10 @@ def _put_right(body: str, given: Body, precision: np.dtype) -> Body:
 def _put_rest_right(
     given: dict[str, Any], sizes: dict[str, int], precision: np.dtype
 ) -> dict[str, Array]:
-    """Rest data of each term: a row for every edge, or for every face.
+    """Convert the rest data of each term: a row per edge, or per face.
 
     Raises:
-        ValueError: they have another shape, or are no real numbers.
+        ValueError: they have another shape, or are not real numbers.
     """
     right = {}
     for term, own in given.items():
@@ -349,7 +355,7 @@ def _put_rest_right(
 
 
 def _check_ranges(body: str, given: Particles | Membrane) -> None:
-    """Refuse values out of their range.
+    """Raise if an index or species is out of its range.
 
     Raises:
         ValueError: an array has one.
@@ -364,7 +370,7 @@ def _check_ranges(body: str, given: Particles | Membrane) -> None:
 
 @functools.lru_cache(maxsize=8)
 def _leaves(body: type) -> tuple[Leaf, ...]:
-    """The arrays of a body, as its fields are annotated."""
+    """Return the annotated array fields of a body."""
     found = []
     for field in dataclasses.fields(body):
         annotated: Any = field.type

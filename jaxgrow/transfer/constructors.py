@@ -1,4 +1,4 @@
-"""Particles and membranes from what a user has: positions, and a triangle mesh."""
+"""Constructors of particles and membranes from positions and meshes."""
 
 from typing import Literal
 
@@ -27,7 +27,7 @@ from jaxgrow.transfer.device import get, put, put_at_rest
 def make_particles(
     position: Given, *, species: Given = Species.TISSUE, held: Given = False
 ) -> Particles:
-    """Make particles for `jaxgrow.relax`, all alive, from their positions.
+    """Make particles, all alive, from their positions for `jaxgrow.relax`.
 
     Args:
         position: in r0, (n, 3); of NumPy, lists, or JAX, which may trace them.
@@ -39,8 +39,8 @@ def make_particles(
         positions have (whole numbers get JAX's default).
 
     Raises:
-        ValueError: an array has another shape or other numbers than that, a position
-            is not finite, or a species unknown.
+        ValueError: an array has another shape or kind of numbers, a position is not
+            finite, or a species is unknown.
     """
     place = _positions("position", position, "n")
     count = place.shape[0]
@@ -62,7 +62,7 @@ def make_membrane(
     rest_length: Given | None = None,
     source: int = -1,
 ) -> Membrane:
-    """Make a membrane for `jaxgrow.relax` from a triangle mesh.
+    """Make a membrane from a triangle mesh for `jaxgrow.relax`.
 
     Its springs are the edges of the faces, every edge once, with the smaller number of
     a vertex first and in ascending order.
@@ -70,10 +70,10 @@ def make_membrane(
     Args:
         vertices: in r0, (m, 3); of NumPy, lists, or JAX, which may trace them.
         faces: vertices of each triangle, (f, 3), counter-clockwise seen from the side
-            that the tissue is not on; an oriented manifold, closed or with a rim.
+            opposite to the tissue; an oriented manifold, closed or with a rim.
         pinned: "rim", or True for vertices that never move, (m,), or one flag for all.
         rest_length: of each edge, in r0, (e,), or one for all, which may be traced; by
-            default the lengths that the edges have, of which they are functions.
+            default the current lengths of the edges, differentiable in the vertices.
         source: the vertex that emits a polyp's particles; -1 for none.
 
     Returns:
@@ -81,9 +81,9 @@ def make_membrane(
         have (whole numbers get JAX's default).
 
     Raises:
-        ValueError: an array has another shape or other numbers than that, a vertex or
-            rest length is not finite, a rest length is negative, a face names a vertex
-            that there is not, or the faces are no oriented manifold.
+        ValueError: an array has another shape or kind of numbers, a vertex or rest
+            length is not finite, a rest length is negative, a face names a vertex that
+            does not exist, or the faces are not an oriented manifold.
     """
     corners = _positions("vertices", vertices, "m")
     count = corners.shape[0]
@@ -112,7 +112,7 @@ def make_membrane(
 
 
 def _positions(name: str, given: Given, letter: str) -> Array:
-    """Finite positions on the device."""
+    """Convert and validate positions, and put them on the device."""
     array = on_device(name, given)
     check_shape(name, array.shape, (letter, 3), {})
     array = of_kind(name, array, "Float", precision_of(name, array))
@@ -123,7 +123,7 @@ def _positions(name: str, given: Given, letter: str) -> Array:
 def _for_each(
     name: str, given: Given, letter: str, count: int, kind: str, dtype: np.dtype
 ) -> Array:
-    """A number for each row, from as many or from one for all."""
+    """Convert values to one per row, from as many or from a scalar."""
     array = on_device(name, given)
     if array.ndim == 0:
         array = jnp.broadcast_to(array, (count,))

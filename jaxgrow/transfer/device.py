@@ -1,9 +1,9 @@
-"""Crossing between host and device: `put_` goes to the device, `get_` comes back.
+"""Transfer between host and device: `put_*` to the device, `get_*` back.
 
 Arrays on the device have a capacity that grows by factors of 3/2, so that a growth
-needs few compiled programs; the live rows are always the first ones. What growth does
-to positions stays on the device, so that it can be differentiated; only what is chosen
-(who divides, which edge is split) is decided on the host.
+needs few compiled programs; the live rows are always the first ones. Operations on
+positions stay on the device, so that they can be differentiated; only discrete choices
+(which particle divides, which edge is split) are made on the host.
 """
 
 from typing import NamedTuple, TypeVar
@@ -26,9 +26,9 @@ MembraneOrNone = TypeVar("MembraneOrNone", bound=Membrane | None)
 
 
 def get(array: Array) -> np.ndarray:
-    """Values on the host, cut off from any derivative.
+    """Copy values to the host, cut off from any derivative.
 
-    Of an array that nobody traces there is nothing to cut off.
+    Only a traced array needs the cut.
     """
     if isinstance(array, Tracer):
         array = jax.lax.stop_gradient(array)
@@ -36,31 +36,31 @@ def get(array: Array) -> np.ndarray:
 
 
 def get_number(value: Scalar) -> float:
-    """A parameter on the host, whether it is a number, an array or traced by `grad`."""
+    """Return a scalar parameter as a float: number, array or traced."""
     return float(get(jnp.asarray(value)))
 
 
 def put(array: np.ndarray) -> Array:
-    """A copy on the device.
+    """Copy an array to the device.
 
-    Not by `jnp.asarray`, which compiles a program for every shape (JAX 0.10). What
-    `jax.device_put` is given may be the device's memory from then on, so it is a copy.
+    `jnp.asarray` is avoided, as it compiles a program for every shape (JAX 0.10).
+    `jax.device_put` may alias the memory that it is given, so it is given a copy.
     """
     return jax.device_put(np.array(array))
 
 
 def padded(array: np.ndarray, capacity: int, value: float = 0) -> np.ndarray:
-    """The array with rows of a value (zeros, False) behind it."""
+    """Pad an array with rows of a value (zeros, False) to a capacity."""
     filled = np.full((capacity, *array.shape[1:]), value, array.dtype)
     filled[: len(array)] = array
     return filled
 
 
 def parked(count: int, start: int = 0) -> Float[np.ndarray, "n 3"]:
-    """Positions for padding slots, on a lattice far from everything.
+    """Return positions for padding slots, on a lattice far from everything.
 
-    They are apart from each other because particles parked at one point would fill
-    one cell of a neighbour list.
+    They are distinct because particles parked at one point would fill one cell of a
+    neighbour list.
     """
     index = np.arange(start, start + count)
     lattice = np.stack([index % 16, index // 16 % 16, index // 256], axis=1)
@@ -73,7 +73,7 @@ def put_particles(
     held: Bool[np.ndarray, " n"],
     capacity: int,
 ) -> Particles:
-    """Particles on the device, with room for more."""
+    """Put particles on the device, padded to a capacity."""
     count = len(position)
     padding = put(parked(capacity - count))
     return Particles(
@@ -85,7 +85,7 @@ def put_particles(
 
 
 def with_capacity(particles: Particles, capacity: int) -> Particles:
-    """The same particles with more room."""
+    """Return the same particles, padded to a larger capacity."""
     old = particles.position.shape[0]
     more = capacity - old
 
@@ -103,13 +103,13 @@ def with_capacity(particles: Particles, capacity: int) -> Particles:
 def get_particles(
     particles: Particles,
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
-    """Position (in r0) and species of the living."""
+    """Copy position (in r0) and species of live particles to the host."""
     alive = get(particles.alive)
     return get(particles.position)[alive], get(particles.species)[alive]
 
 
 class Positions(NamedTuple):
-    """Positions of what is alive, on the host.
+    """Positions of live particles and vertices, on the host.
 
     Attributes:
         particles: in r0.
@@ -121,7 +121,7 @@ class Positions(NamedTuple):
 
 
 def get_positions(particles: Particles, membrane: Membrane | None) -> Positions:
-    """Where everything alive is."""
+    """Copy the positions of live particles and vertices to the host."""
     vertices = None
     if membrane is not None:
         vertices = get(membrane.vertices)[get(membrane.vertex_alive)]
@@ -131,7 +131,7 @@ def get_positions(particles: Particles, membrane: Membrane | None) -> Positions:
 def put_positions(
     particles: Particles, membrane: MembraneOrNone, positions: Positions
 ) -> tuple[Particles, MembraneOrNone]:
-    """The same with what may move elsewhere."""
+    """Move the free particles and vertices to other positions."""
 
     def placed(own: Array, new: np.ndarray, free: Array) -> Array:
         there = put(padded(new, own.shape[0]))
@@ -147,14 +147,14 @@ def put_positions(
 
 
 def put_membrane(surface: Surface) -> Membrane:
-    """A membrane at rest on the device."""
+    """Put a surface on the device as a membrane at rest."""
     capacity = _vertex_capacity(surface)
     vertices = put(padded(surface.vertices, capacity))
     return put_at_rest(vertices, surface)
 
 
 def get_surface(membrane: Membrane) -> Surface:
-    """The live part of the membrane."""
+    """Copy the live part of a membrane to the host."""
     alive = get(membrane.vertex_alive)
     return Surface(
         vertices=get(membrane.vertices)[alive],
@@ -165,7 +165,7 @@ def get_surface(membrane: Membrane) -> Surface:
 
 
 def put_remeshed(membrane: Membrane, remeshing: Remeshing) -> Membrane:
-    """The membrane after a remeshing, at rest: its springs have their current length.
+    """Return a membrane after remeshing, with springs at current length.
 
     Args:
         membrane: as it was before.
@@ -187,7 +187,10 @@ _average = jax.jit(average_parents)
 
 
 def _vertex_capacity(mesh: Surface | Remeshing, most: int = 0) -> int:
-    """Room for the vertices, for half as many faces and a third as many edges."""
+    """Return the capacity of vertices that a mesh needs.
+
+    It is at least half the number of faces and a third of the number of edges.
+    """
     faces = len(mesh.faces)
     edges = (3 * faces + int(mesh.fixed.sum())) // 2
     needed = max(len(mesh.fixed), faces // 2 + 1, edges // 3 + 1, most)
@@ -200,7 +203,7 @@ def _rest(membrane: Membrane) -> dict[str, Float[Array, "k _"]]:
 
 
 def reset_springs(membrane: Membrane) -> Membrane:
-    """Put all springs and hinges at rest where they are.
+    """Reset the rest data of all springs and hinges to the current shape.
 
     Springs are "assigned a new equilibrium length" (paper §4).
     """
@@ -210,13 +213,13 @@ def reset_springs(membrane: Membrane) -> Membrane:
 def put_at_rest(
     vertices: Float[Array, "m 3"], mesh: Surface | Remeshing, *, room: bool = True
 ) -> Membrane:
-    """A membrane with these vertices and the connectivity of the mesh.
+    """Build a membrane at rest from vertices and a mesh's connectivity.
 
     Args:
         vertices: on the device; padding behind those of the mesh.
-        mesh: whose faces, fixed vertices and source the membrane has.
-        room: whether it has rows for twice as many faces and three times as many edges
-            as vertices, or just for those of the mesh.
+        mesh: gives faces, fixed vertices and source.
+        room: whether to pad to twice as many faces and three times as many edges as
+            vertices, or not at all.
     """
     capacity = vertices.shape[0]
     topology = build_topology(mesh.faces, len(mesh.fixed))
