@@ -1,1 +1,1 @@
-"""Lists of near particles: cells, Verlet lists, and what is within a radius."""
+"""Neighbour lists: cell lists, Verlet lists, and search within a radius."""

@@ -1,9 +1,9 @@
-"""Wide neighbour lists by jax-md's cells: the only module that imports jax-md.
+"""Wide neighbour lists by cells; the only module that imports jax-md.
 
 `make` runs on the host and decides capacities, `filled_on_host` fills a list there by
-loops, and `relist` runs in compiled code. The list itself, and the search for it where
-there is no loop, are jax-md's; of many points, jax-md finds the cells, and neighbours
-are searched for in them here, in portions.
+loops, and `relist` runs in compiled code. The list itself, and its search where there
+is no loop, are jax-md's; for many points jax-md only assigns the cells, and the search
+within them is done here, in portions.
 """
 
 import contextlib
@@ -34,30 +34,31 @@ _SHIFT = 512.0
 zero, so the cells around 0 would be two cells wide and hold eight times as much."""
 
 _HEADROOM = 1.25
-"""Room for neighbours, over how many there are."""
+"""Capacity for neighbours, relative to the present maximum."""
 
 _HEADROOM_IN_CELL = 1.15
-"""Room in a cell; every place in it is a candidate 27 times."""
+"""Capacity of a cell, relative to the present maximum; each slot is a candidate 27
+times."""
 
 _MOST_AT_ONCE = 8192
-"""Up to as many points jax-md searches for the neighbours of all at once."""
+"""Number of points up to which jax-md searches for all neighbours at once."""
 
 _PORTION = 512
-"""Points at a time, of more."""
+"""Points per portion, above that number."""
 
 _LEAST_WIDE = 48
 _LEAST_IN_CELL = 16
 
 
 class Hash(NamedTuple):
-    """A periodic hash of space.
+    """Periodic spatial hash.
 
-    Space is free and distances are exact; only the hash of the cells is periodic,
+    Space is unbounded and distances are exact; only the hash of the cells is periodic,
     which adds candidates and loses none.
 
     Attributes:
-        cells: number of them along each axis.
-        radius: up to which pairs are listed, in r0; no cell is smaller.
+        cells: number of cells along each axis.
+        radius: distance up to which pairs are listed, in r0; no cell is smaller.
     """
 
     cells: int
@@ -65,18 +66,18 @@ class Hash(NamedTuple):
 
     @property
     def size(self) -> float:
-        """Of a cell, in r0: a little more than the radius."""
+        """Edge of a cell, in r0: a little more than the radius."""
         return 1.0001 * self.radius
 
     @classmethod
     def of(cls, count: int, radius: float) -> "Hash":
-        """One that suits this many particles."""
+        """Return the hash for this many particles."""
         return cls(max(12, 2 * math.ceil((count / 1.2) ** (1 / 3) / 3)), radius)
 
 
 @contextlib.contextmanager
 def _permissive() -> Iterator[None]:
-    """Let jax-md mix dtypes and ranks, which our tests forbid to our own code."""
+    """Let jax-md mix dtypes and ranks, which our tests forbid elsewhere."""
     with (
         jax.numpy_dtype_promotion("standard"),
         jax.numpy_rank_promotion("allow"),
@@ -90,13 +91,13 @@ def _permissive() -> Iterator[None]:
 
 @functools.cache
 def _partition() -> Any:
-    """`jax_md.partition`, without the rest of jax-md.
+    """Import `jax_md.partition` without the rest of jax-md.
 
-    The package imports all of its modules, and these neural networks and sympy, and
-    compile a hundred programs: five seconds for every process. So the two modules that
-    lists need are imported from a package that is not initialised. It is forgotten
-    then, so that ``import jax_md`` initialises it later as ever; the two modules are
-    the same ones.
+    The package imports all of its modules, which import neural networks and sympy and
+    compile a hundred programs: five seconds per process. So the two modules that lists
+    need are imported from an uninitialised package, which is then removed from
+    `sys.modules`, so that a later ``import jax_md`` initialises it as usual and finds
+    the same two modules.
     """
     if "jax_md" in sys.modules:
         from jax_md import partition
@@ -115,10 +116,10 @@ def _partition() -> Any:
 
 @functools.cache
 def _functions(of: Hash) -> tuple[Any, Any]:
-    """jax-md's update of a list, and its cell list.
+    """Return jax-md's update function and cell list for a hash.
 
-    New ones would make every compiled function that takes a list compile again, so
-    there is one pair per hash.
+    There is one pair per hash, as every compiled function that takes a list would be
+    compiled again for another pair.
     """
     with _permissive():
         partition = _partition()
@@ -136,13 +137,15 @@ def _functions(of: Hash) -> tuple[Any, Any]:
 
 
 def make(position: Float[Array, "n 3"], of: Hash, before: Any = None) -> Any:
-    """An empty list, to be filled by `relist`, that has room for these positions.
+    """Allocate an empty list with room for these positions.
+
+    `relist` fills it.
 
     Args:
         position: in r0, of all slots.
         of: the hash and the radius.
-        before: a list that is to be replaced; room is no less. Where it was too small,
-            for positions that were given up since, there is more.
+        before: a list that is to be replaced; no capacity becomes smaller, and one
+            that overflowed becomes larger.
 
     Returns:
         A `jax_md.partition.NeighborList`.
@@ -161,7 +164,7 @@ def make(position: Float[Array, "n 3"], of: Hash, before: Any = None) -> Any:
     room = capacity_for(wanted, least)
     partition = _partition()
     update, cell_list = _functions(of)
-    # arrays that nobody else has, and no program for every shape, as with jnp.asarray
+    # unaliased arrays; jnp.asarray would compile a program for every shape
     return partition.NeighborList(
         idx=jax.device_put(np.full((len(points), room), len(points), np.int32)),
         reference_position=jax.device_put(points + _SHIFT),
@@ -180,13 +183,16 @@ _FARTHEST = 1e9
 
 
 def _finite(position: Float[Array, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """Positions on the host; what is nowhere is at 0, as in jax-md's cells."""
+    """Copy positions to the host; those without a cell become 0.
+
+    jax-md's cells treat them the same.
+    """
     points = np.asarray(position)
     return np.where(np.abs(points) < _FARTHEST, points, 0)
 
 
 def most_neighbors(position: Float[Array, "n 3"], radius: float) -> int:
-    """How many neighbours a point has within a radius, at most."""
+    """Count the neighbours within a radius; return the maximum."""
     points = _finite(position)
     if len(points) == 0:
         return 0
@@ -197,12 +203,12 @@ def most_neighbors(position: Float[Array, "n 3"], radius: float) -> int:
 def relist(
     wide: Any, position: Float[Array, "n 3"], still: Bool[Array, " n"] | None = None
 ) -> Any:
-    """The list for these positions; its error is set if they do not fit.
+    """Fill the list for these positions; set its error on overflow.
 
-    On a processor by a loop, where there is one (see `jaxgrow.kernels`).
+    On a CPU by a compiled loop, if available (see `jaxgrow.kernels`).
 
     Args:
-        wide: a list of so many points.
+        wide: a list for as many points.
         position: in r0.
         still: points that get no entries, though they are entries of others.
     """
@@ -227,24 +233,24 @@ def relist(
 def filled_on_host(
     wide: Any, position: Float[Array, "n 3"], radius: float, room: int, *, anew: bool
 ) -> tuple[Any, Int[Array, "k n"], int] | None:
-    """A wide list and the near one in it by loops, for which no program is loaded.
+    """Fill the wide and the near list by loops, without any XLA program.
 
     Args:
-        wide: a list of so many points.
+        wide: a list for as many points.
         position: in r0, as values.
-        radius: that near neighbours are closer than, in r0.
-        room: for near neighbours of a point.
-        anew: whether the wide list is to be made for these positions.
+        radius: distance below which neighbours are near, in r0.
+        room: capacity for near neighbours of a point.
+        anew: whether the wide list is to be rebuilt for these positions.
 
     Returns:
-        The wide list, the near one (neighbour-major; n for an empty entry), and how
-        many near neighbours a point has at most; None where there are no loops.
+        The wide list, the near one (neighbour-major; n for an empty entry), and the
+        largest number of near neighbours; None if loops are not available.
     """
     if not (position.dtype == jnp.float64 and registered("cells")):
         return None
     if any(device.platform != "cpu" for device in position.devices()):
         return None
-    points = np.array(position)  # loops know no array that is read only
+    points = np.array(position)  # writeable: one compiled signature
     kernel = loops("anew")
     if anew:
         of = Hash.of(len(points), wide.cell_size)
@@ -254,7 +260,7 @@ def filled_on_host(
         full = most > wide.max_occupancy
         code = int(wide.error.code)
         code |= int(_partition().PartitionErrorCode.NEIGHBOR_LIST_OVERFLOW) * full
-        # arrays that nobody else has
+        # unaliased arrays
         wide = dataclasses.replace(
             wide,
             idx=jax.device_put(entries),
@@ -268,7 +274,7 @@ def filled_on_host(
 def _by_loop(
     wide: Any, position: Float[Array, "n 3"], still: Bool[Array, " n"]
 ) -> tuple[Int[Array, "n k"], UInt[Array, ""]]:
-    """Entries, and the code of the error."""
+    """Return entries and error code by the compiled loop."""
     of = Hash.of(position.shape[0], wide.cell_size)
     results = (
         jax.ShapeDtypeStruct(wide.idx.shape, jnp.int32),
@@ -284,7 +290,7 @@ def _by_loop(
 def _by_cells(
     wide: Any, position: Float[Array, "n 3"], still: Bool[Array, " n"]
 ) -> tuple[Int[Array, "n k"], UInt[Array, ""]]:
-    """The same by jax-md."""
+    """Return entries and error code by jax-md's cells."""
     with _permissive():
         moved = position + _SHIFT
         if position.shape[0] <= _MOST_AT_ONCE:
@@ -306,7 +312,7 @@ def _without(entries: Int[Array, "n k"], still: Bool[Array, " n"]) -> Array:
 def _in_portions(
     wide: Any, cells: Any, position: Float[Array, "n 3"]
 ) -> tuple[Int[Array, "n k"], Int[Array, ""]]:
-    """Entries as jax-md makes them, and the most of a point, for some points at a time.
+    """Return entries as jax-md's, and their maximum, portion by portion.
 
     jax-md stores all pairs of points in adjacent cells, a gigabyte for 100 000 points.
     """
@@ -340,12 +346,12 @@ def _in_portions(
 
 
 def moved(wide: Any, position: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-    """How far every point has gone since the list was made, in r0."""
+    """Return the displacement of every point since the list was made, in r0."""
     return position + _SHIFT - wide.reference_position
 
 
 def listed_at(wide: Any) -> Float[Array, "n 3"]:
-    """Where every point was when the list was made, in r0."""
+    """Return the positions for which the list was made, in r0."""
     return wide.reference_position - _SHIFT
 
 
@@ -355,13 +361,13 @@ def listed_by_loop(
     position: Float[Array, "n 3"],
     full: Bool[Array, ""],
 ) -> Any:
-    """A list whose entries a loop made for these positions.
+    """Return a list whose entries a loop made for these positions.
 
     Args:
         wide: the list before.
         entries: neighbours of each point.
         position: in r0.
-        full: whether there was too little room.
+        full: whether the capacity was exceeded.
     """
     code = _partition().PartitionErrorCode.NEIGHBOR_LIST_OVERFLOW
     return dataclasses.replace(
@@ -373,11 +379,11 @@ def listed_by_loop(
 
 
 def moved_to(wide: Any, chosen: Int[Array, " k"], position: Float[Array, "k 3"]) -> Any:
-    """A list whose entries of some points are about to be made for these positions.
+    """Set the reference positions of some points, before relisting them.
 
     Args:
         wide: the list.
-        chosen: the points; n stands for nobody.
+        chosen: the points; n is padding.
         position: where they are, in r0.
     """
     reference = wide.reference_position.at[chosen].set(position + _SHIFT, mode="drop")
@@ -385,12 +391,13 @@ def moved_to(wide: Any, chosen: Int[Array, " k"], position: Float[Array, "k 3"])
 
 
 def blank(count: int, radius: float, room: int, like: Any) -> Any:
-    """An empty list of a few of the points of another list.
+    """Allocate an empty list for a subset of the points of another list.
 
     Args:
-        count: of slots.
-        radius: up to which pairs are listed, in r0; no more than in the other list.
-        room: for neighbours of a point.
+        count: number of slots.
+        radius: distance up to which pairs are listed, in r0; at most that of the
+            other list.
+        room: capacity for neighbours of a point.
         like: the other list.
     """
     update, cell_list = _functions(Hash.of(count, radius))

@@ -1,4 +1,4 @@
-"""Listing one particle anew in a list of neighbours that all others keep."""
+"""Update of one particle in a symmetric neighbour list."""
 
 from typing import NamedTuple
 
@@ -7,12 +7,12 @@ from jaxtyping import Array, Bool, Int
 
 
 class Links(NamedTuple):
-    """A symmetric list.
+    """Symmetric neighbour list.
 
     Attributes:
         listed: indices of the neighbours, neighbour-major; an empty entry, anywhere in
             a column, holds n.
-        full: whether something ever had more neighbours than there is room for.
+        full: whether a point ever had more neighbours than the capacity.
     """
 
     listed: Int[Array, "k n"]
@@ -20,12 +20,12 @@ class Links(NamedTuple):
 
 
 def relink(links: Links, one: Int[Array, ""], near: Bool[Array, " n"]) -> Links:
-    """The list with other neighbours of one particle, from both sides.
+    """Replace the neighbours of one particle, from both sides.
 
     Args:
-        links: as they are.
-        one: whose neighbours change.
-        near: who they are now; not itself.
+        links: the list before.
+        one: the particle whose neighbours change.
+        near: its neighbours now, without itself.
     """
     listed, full = links
     room, count = listed.shape

@@ -1,17 +1,17 @@
-"""Neighbour lists of particles.
+"""Verlet lists of particles, in two radii.
 
-Two lists: a wide one by jax-md's cells, and what of it is near, which forces are
-computed from. The near one is short (empty and distant entries cost as much as others)
-and so holds for short moves only, but finding it in the wide one costs no more than a
-force evaluation; the wide one, ten times as dear, holds for long moves.
+Two lists: a wide one by jax-md's cells, and its near part, which forces are computed
+from. The near one is short (empty and distant entries cost as much as others) and so is
+valid for short moves only, but extracting it from the wide one costs no more than a
+force evaluation; the wide one costs ten times as much and is valid for long moves.
 
-Where few of the particles went far, as after a division, only those are listed anew
+If only a few particles moved far, as after a division, only those are relisted
 (`jaxgrow.neighbors.update_particle`), at a twentieth of the cost for hundreds of
 particles and at a hundredth for very many.
 
 `allocate` runs on the host and decides capacities; `update` runs in compiled code. An
 update that does not fit sets a flag that stays set, and forces computed from such a
-list are wrong: `relax` rolls back and allocates anew.
+list are wrong: `relax` rolls back and allocates larger ones.
 """
 
 import dataclasses
@@ -37,30 +37,30 @@ particles exceed it together."""
 
 WIDE_SKIN = 0.9
 _WIDE_SKIN_OF_MANY = 0.7
-"""Extra radius of the wide list of few and of many particles: the longer one holds for
-longer, and takes longer to make, which counts where there are many."""
+"""Extra radius of the wide list for few and for many particles: a larger one stays
+valid for longer moves, but takes longer to build, which matters for many particles."""
 
 _SKIN_OF_PART = 0.35
-"""The same of a part of them, which is made for one relaxation."""
+"""Extra radius of the wide list of a subset, which is built for one relaxation."""
 
 FEW = 4096
 
 _STRAYS, _STRAYS_OF_FEW = 32, 8
-"""Particles, of many and of few, that are listed anew one by one; when more went far,
-all are."""
+"""Particles, of many and of few, that are relisted one by one; if more moved far, the
+whole list is rebuilt."""
 
 _LEAST_OCCUPANCY = 32
 _OCCUPANCY_STEP = 8
-"""Room for neighbours comes in multiples of it, since every size is a compilation."""
+"""Step of the capacity for neighbours, since every size is a compilation."""
 
 
 class Neighbors(eqx.Module):
-    """Who is near whom.
+    """Verlet list of particles: the near and the wide list.
 
     Attributes:
         listed: indices of the neighbours, neighbour-major; an empty entry holds n.
         reference: positions when they were listed, in r0.
-        full: whether a particle ever had more neighbours than the list has room for.
+        full: whether a particle ever had more neighbours than the capacity.
         wide: a `jax_md.partition.NeighborList`: its type would import jax-md.
     """
 
@@ -87,7 +87,7 @@ def _skin(count: int) -> float:
 def allocate(
     position: Float[Array, "n 3"], before: Neighbors | None = None
 ) -> Neighbors:
-    """A list for these positions, with room for no fewer neighbours than before.
+    """Allocate a list for these positions, no smaller than the one before.
 
     Args:
         position: in r0; every slot, padding included (parked apart).
@@ -105,7 +105,7 @@ def allocate(
     wide = cells.make(position, of, None if before is None else before.wide)
     most, least = cells.most_neighbors(position, CUTOFF + SKIN), _LEAST_OCCUPANCY
     if before is not None:
-        # of positions that were given up since, for lack of room, nothing else is known
+        # the positions at which it overflowed are lost: grow it by one step
         least = before.listed.shape[0] + _OCCUPANCY_STEP * bool(before.full)
     room = max(_OCCUPANCY_STEP * -(-most // _OCCUPANCY_STEP), least)
     return _filled(position, wide, room, relist=True)
@@ -115,7 +115,7 @@ def allocate(
 def _only_near_is_full(
     neighbors: Neighbors, position: Float[Array, "n 3"]
 ) -> Bool[Array, ""]:
-    """Whether the near list was too small, and the wide one holds here."""
+    """Return whether the near list overflowed and the wide one is valid."""
     return (
         neighbors.full
         & (neighbors.wide.error.code == 0)
@@ -126,7 +126,7 @@ def _only_near_is_full(
 def _filled(
     position: Float[Array, "n 3"], wide: Any, room: int, *, relist: bool
 ) -> Neighbors:
-    """The lists for these positions; near ones with so much room."""
+    """Fill both lists for these positions."""
     made = cells.filled_on_host(wide, position, CUTOFF + SKIN, room, anew=relist)
     if made is None:
         return _filled_by_program(position, wide, room, relist=relist)
@@ -145,14 +145,14 @@ def _filled_by_program(
 
 
 def outgrown(neighbors: Neighbors, position: Float[Array, "n 3"]) -> Bool[Array, ""]:
-    """Whether the near list may lack a pair at these positions."""
-    return ~(farthest_two(position - neighbors.reference) <= SKIN)  # NaN: surely
+    """Return whether the near list may lack a pair at these positions."""
+    return ~(farthest_two(position - neighbors.reference) <= SKIN)  # NaN counts
 
 
 def rebuilt(
     neighbors: Neighbors, position: Float[Array, "n 3"], anew: Bool[Array, ""]
 ) -> Neighbors:
-    """The list for these positions if it is to be made anew, else as it is."""
+    """Rebuild the list for these positions if `anew` holds."""
 
     def make(wide_holds: Bool[Array, ""]) -> Neighbors:
         wide = jax.lax.cond(
@@ -168,7 +168,7 @@ def rebuilt(
         _, strays = _far(neighbors, position)
         wide_holds = _wide_holds(neighbors, position)
         patch = strays <= most_strays(position.shape[0])
-        if position.shape[0] <= FEW:  # then it costs less to look through the wide list
+        if position.shape[0] <= FEW:  # then a search of the wide list costs less
             patch &= ~wide_holds
         return jax.lax.cond(
             patch, lambda: _patched(neighbors, position), lambda: make(wide_holds)
@@ -178,22 +178,22 @@ def rebuilt(
 
 
 def _wide_holds(neighbors: Neighbors, position: Float[Array, "n 3"]) -> Bool[Array, ""]:
-    """Whether a near list for these positions can be found in the wide one."""
+    """Return whether the wide list covers all near pairs here."""
     moved = farthest_two(cells.moved(neighbors.wide, position))
     return moved <= neighbors.wide_skin - SKIN
 
 
 def most_strays(count: int) -> int:
-    """Up to how many of them are listed anew one by one."""
+    """Return the largest number of particles that are relisted one by one."""
     return min(_STRAYS if count > FEW else _STRAYS_OF_FEW, count)
 
 
 def _far(
     neighbors: Neighbors, position: Float[Array, "n 3"]
 ) -> tuple[Float[Array, " n"], Int[Array, ""]]:
-    """How far each went since it was listed, and how many went far.
+    """Return each particle's displacement, and how many moved far.
 
-    Without those the near list holds on for half of its skin at least.
+    Without those the near list stays valid for at least half of its skin.
     """
     moved = safe_norm(position - neighbors.reference)
     moved = jnp.where(jnp.isnan(moved), jnp.inf, moved)
@@ -201,10 +201,11 @@ def _far(
 
 
 def _patched(neighbors: Neighbors, position: Float[Array, "n 3"]) -> Neighbors:
-    """The list with those that went far listed anew, in both lists.
+    """Relist the particles that moved far, in both lists.
 
-    A pair is listed or not by where both were when they were listed last: that is what
-    the skin is a bound for. So the others are where they were then here too.
+    Whether a pair is listed depends on the reference positions of both particles, which
+    is what the skin bounds. So the other particles are taken at their reference
+    positions.
     """
     moved, strays = _far(neighbors, position)
     count = position.shape[0]
@@ -236,13 +237,13 @@ def _patched(neighbors: Neighbors, position: Float[Array, "n 3"]) -> Neighbors:
 def of_part(
     position: Float[Array, "q 3"], still: Bool[Array, " q"], like: Neighbors
 ) -> Neighbors:
-    """A list of a few of the particles of another list, with room as in that.
+    """Build a list for a subset of the particles of another list.
 
     Args:
         position: of every slot, padding included.
-        still: those that never move and whose forces nobody asks for: they are
+        still: particles that never move and whose forces are not needed: they are
             neighbours of others, but have none.
-        like: the other list.
+        like: the other list; the capacity is the same.
     """
     count, room = position.shape[0], like.listed.shape[0]
     radius = CUTOFF + min(_SKIN_OF_PART, like.wide_skin)
@@ -263,16 +264,16 @@ def _of_part(
 
 
 def update(neighbors: Neighbors, position: Float[Array, "n 3"]) -> Neighbors:
-    """The list for new positions; made anew only when someone moved too far."""
+    """Return the list for new positions, rebuilt only after too long moves."""
     return rebuilt(neighbors, position, outgrown(neighbors, position))
 
 
 def find_near(
     position: Float[Array, "n 3"], wide: Int[Array, "n w"], room: int
 ) -> tuple[Int[Array, "k n"], Int[Array, ""]]:
-    """Those of the wide list within the near one's radius, and the most of a particle.
+    """Extract the near list from the wide one, with the maximum per particle.
 
-    On a processor by a loop, where there is one (see `jaxgrow.kernels`).
+    On a CPU by a compiled loop, if available (see `jaxgrow.kernels`).
     """
     exact = position.dtype == jnp.float64 and wide.dtype == jnp.int32
     by_scan = functools.partial(_near_by_scan, room=room)
@@ -300,7 +301,7 @@ def _near_by_loop(
 def _near_by_scan(
     position: Float[Array, "n 3"], wide: Int[Array, "n w"], *, room: int
 ) -> tuple[Int[Array, "k n"], Int[Array, ""]]:
-    """Entry after entry of all particles: no array of pairs is stored."""
+    """Scan the entries of all particles, without storing pairs."""
     count = position.shape[0]
     own = jnp.arange(count, dtype=wide.dtype)
     columns = position.T

@@ -1,4 +1,4 @@
-"""What is near to a few of many points, on the host."""
+"""Search for points within a radius of a few seeds, on the host."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -11,7 +11,7 @@ def near_seeds(
     seeds: Float[np.ndarray, "k 3"],
     radius: float,
 ) -> Bool[np.ndarray, " n"]:
-    """Which points are within a radius of a seed."""
+    """Mark the points within a radius of a seed."""
     if points is None or len(seeds) == 0:
         return np.zeros(0 if points is None else len(points), bool)
     near = np.zeros(len(points), bool)
@@ -22,12 +22,12 @@ def near_seeds(
 def may_coincide(
     points: Float[np.ndarray, "n 3"], chosen: Bool[np.ndarray, " n"]
 ) -> bool:
-    """Whether two of the chosen points are the same."""
+    """Return whether two of the chosen points coincide."""
     return bool(loops("twins").any_same(_exact(points), chosen))
 
 
 def _exact(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """For a loop: in 64 bits, and read only, so that one of it is compiled."""
+    """Convert points to read-only 64-bit arrays, for one compiled signature."""
     exact = np.ascontiguousarray(points, np.float64).view()
     exact.flags.writeable = False
     return exact
