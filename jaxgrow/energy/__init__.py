@@ -1,1 +1,1 @@
-"""Energies of the model: one term a file; forces are their negative derivatives."""
+"""Energies of the model, one term per file; forces are their derivatives."""

@@ -43,17 +43,17 @@ STABLE_ADHESION = 149 / 371
 
 
 def _near_integral(u: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Antiderivative of 1 - u²."""
+    """Return the antiderivative of 1 - u²."""
     return u - u**3 / 3
 
 
 def _far_integral(u: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Antiderivative of (1 - u)(2 - u)/2."""
+    """Return the antiderivative of (1 - u)(2 - u)/2."""
     return u - 0.75 * u**2 + u**3 / 6
 
 
 class A2(eqx.Module):
-    """A2 with adhesion and smoothing; the defaults are the law as printed.
+    """A2 force profile with adhesion and smoothing; by default as printed.
 
     Attributes:
         adhesion: factor of the attractive branch (u > 1), dimensionless.
@@ -89,13 +89,13 @@ class A2(eqx.Module):
 def _width(
     u: Float[Array, "..."], smoothing: Scalar
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """The smoothing in the precision of u, and a copy that may be divided by."""
+    """Return the smoothing in u's precision, and a copy safe to divide by."""
     width = jnp.asarray(smoothing, u.dtype)
     return width, jnp.where(width > 0, width, 1)
 
 
 def _integral(law: A2, u: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """The integral of the force beyond u.
+    """Return the integral of the force beyond u.
 
     Each branch is a polynomial and is integrated exactly; the sum over the branches of
     the integral over their part beyond u is continuous by construction.

@@ -1,4 +1,4 @@
-r"""Energy of the bending of the membrane at its edges.
+r"""Bending energy of the membrane, by hinges at its edges.
 
 .. math::
     E = \sum_e \tfrac12 \kappa\, w_e\, (\theta_e - \theta^0_e)^2, \qquad
@@ -15,13 +15,14 @@ whose mesh has edges along the axis the energy per area tends to
 Springs alone have no stiffness against bending, so that a membrane follows every
 particle beneath it and folds at the foot of a lesion. The paper has no such term;
 :math:`\kappa = 0` is its model. Lengths and areas are those of when the springs were
-last reset. The angle at rest :math:`\theta^0` is 0: the surface wants to be flat. (With
-an angle that is reset too, a polyp is as creased as without bending:
+last reset. The rest angle :math:`\theta^0` is 0: a flat surface has no energy. (With an
+angle that is reset too, a polyp is as creased as without bending:
 ``experiments/creases.py``.)
 
 The angle's derivative is the inverse of the triangles' heights, so a sliver's hinge
-would be stiffer than all the rest by many orders. Weights of hinges whose triangles are
-lower than a tenth of the edge therefore fade with the third power of that height.
+would be stiffer than all others by orders of magnitude. Weights of hinges whose
+triangles are lower than a tenth of the edge therefore fade with the third power of that
+height.
 """
 
 from typing import Any
@@ -36,11 +37,11 @@ from jaxgrow.state import Membrane
 
 
 FLAT = 0.1
-"""Height of a triangle over the edge's length below which its hinge fades."""
+"""Ratio of a triangle's height to its edge below which the hinge fades."""
 
 
 class Bending(MembraneTerm):
-    """Stiffness of hinges; rest data: the angle, and 3 ℓ² over the area.
+    """Bending stiffness of hinges; rest data: the angle and 3 ℓ²/area.
 
     Nodes of a hinge are the ends of the edge, then the vertex of the triangle that has
     the edge in this direction, then the vertex of the other triangle.
@@ -58,7 +59,7 @@ class Bending(MembraneTerm):
         return 0.5 * p.bending_stiffness * rest[1] * (hinge_angle(x) - rest[0]) ** 2
 
     def rest(self, x: tuple[Columns, ...]) -> Columns:
-        """Return the angle 0 and the weight 3 ℓ²/A, both dimensionless."""
+        """Return the rest angle 0 and the weight 3 ℓ²/A, both dimensionless."""
         edge = minus(x[1], x[0])
         square = dot(edge, edge)
         one = norm(cross(edge, minus(x[2], x[0])))

@@ -1,4 +1,4 @@
-r"""Energy of the collision of the membrane with itself and with static walls.
+r"""Energy of the membrane's collisions with itself and with static walls.
 
 "Collisions of the pathology's surface with the uterine cavity" are handled by "a purely
 repulsive force profile" (paper §5): A2 without its attractive branch, against the other
@@ -17,14 +17,14 @@ wall of the organ, its other static parts, and the membrane itself. With
   keeps sheets from going through each other (cf. incremental potential contact, Li et
   al., ACM Trans. Graph. 39, 2020). Of pairs that are apart it sets in at the barrier's
   range, of neighbours at half of the distance that they had when the springs were last
-  reset, so that a surface at rest feels nothing.
+  reset, so that a surface at rest has no such force.
 - The distance of edges has a kink where they are parallel; there m fades their term out
   (:math:`m = s (2 - s)` for :math:`s = \sin^2 \angle / 10^{-3} < 1`), as ends against
   triangles cover that case.
 
 Pairs that share a vertex are left out. Where two triangles that share vertices begin to
-intersect, a vertex meets a triangle or an edge an edge that it shares none with, so
-nothing is missed.
+intersect, a vertex meets a triangle, or an edge an edge, without a common vertex, so no
+intersection is missed.
 """
 
 from typing import Any, ClassVar, TypeAlias
@@ -59,11 +59,11 @@ PARALLEL = 1e-3
 
 
 PairDistances: TypeAlias = tuple[Float[Array, " p"], Float[Array, " q"]]
-"""Of all pairs of a vertex and a triangle, and of all pairs of edges, in r0."""
+"""Distances of all vertex-triangle pairs, and of all edge-edge pairs, in r0."""
 
 
 class Collision(eqx.Module):
-    """The repulsion of parts of the surface that may not go through each other.
+    """Repulsion of parts of the surface that must not pass through each other.
 
     Class attributes:
         name: of the term.
@@ -79,7 +79,7 @@ class Collision(eqx.Module):
         """Return the repulsion of one vertex, in F(0) r0.
 
         Args:
-            u: its smooth distance to triangles that are apart, in collision ranges.
+            u: smooth distance to the triangles that are apart, in collision ranges.
             p: has the `parameters` by name.
         """
         near = u < 1
@@ -115,7 +115,7 @@ COLLISION = Collision()
 
 
 def _skewness(x: tuple[Columns, ...]) -> Array:
-    """The factor m: 1, less for nearly parallel edges, 0 for parallel ones."""
+    """Return the factor m: 1, less for nearly parallel edges, 0 for parallel."""
     one, other = minus(x[1], x[0]), minus(x[3], x[2])
     normal = cross(one, other)
     scale = dot(one, one) * dot(other, other)
@@ -125,7 +125,7 @@ def _skewness(x: tuple[Columns, ...]) -> Array:
 
 
 class Collisions(eqx.Module):
-    """Parts of the surface that may be within reach of each other.
+    """Collision list: parts of the surface that may be within reach.
 
     Vertices are numbered through: first the membrane's slots, then the static ones.
 
@@ -137,12 +137,12 @@ class Collisions(eqx.Module):
         vertex_margin: where the barrier of the pair sets in, in collision ranges; 0 for
             padding.
         edges: the four ends of each pair of edges.
-        edge_margin: likewise.
+        edge_margin: where the barrier of the pair of edges sets in, as `vertex_margin`.
         reference: vertices of the membrane when the list was made.
-        skin: the list holds until the farthest moves of two vertices exceed it
+        skin: the list is valid until the farthest moves of two vertices exceed it
             together, in r0.
         stale: whether they have.
-        full: whether it was too small; then it must not be used.
+        full: whether its capacity was exceeded; then it must not be used.
     """
 
     still: Float[Array, "s 3"]
@@ -158,12 +158,12 @@ class Collisions(eqx.Module):
     full: Bool[Array, ""]
 
     def checked(self, vertices: Float[Array, "m 3"]) -> "Collisions":
-        """The same list, knowing whether it still holds."""
+        """Return the same list with `stale` for these vertices."""
         shift = farthest_two(vertices - self.reference)
         return eqx.tree_at(lambda c: c.stale, self, ~(shift <= self.skin))
 
     def distances(self, membrane: Membrane) -> PairDistances:
-        """Exact distance of all pairs in r0; infinite for padding."""
+        """Return exact distances of all pairs, in r0; infinite for padding."""
         points = jnp.concatenate([membrane.vertices, self.still])
         of_vertex = point_triangle_distance(points[self.vertex], points[self.corners])
         of_edge = segment_distance(*split_corners(points[self.edges]))
@@ -182,15 +182,17 @@ def narrow_collisions(
     skin: Scalar,
     room: int,
 ) -> Collisions:
-    """Those of a list that matter until two vertices have moved by a skin together.
+    """Filter a collision list to the pairs within a shorter reach.
+
+    They are those that matter until two vertices have moved by a skin together.
 
     Args:
-        wide: a list that holds.
-        membrane: where it is now.
-        parameters: whose ranges they are within.
+        wide: a valid list.
+        membrane: at its present position.
+        parameters: give the ranges.
         least: distance, in r0, up to which pairs are listed in any case.
         skin: extra distance, in r0.
-        room: for pairs of a vertex and a triangle, and for half of those of edges.
+        room: capacity for vertex-triangle pairs; twice as much for edge-edge pairs.
     """
     scale = parameters.collision_range
     of_vertex, of_edge = wide.distances(membrane)
@@ -223,10 +225,10 @@ def collision_energy(
     parameters: Parameters,
     distances: PairDistances | None = None,
 ) -> Float[Array, ""]:
-    """Energy in F(0) r0.
+    """Return the collision energy, in F(0) r0.
 
     Args:
-        membrane: where it is.
+        membrane: at its present position.
         collisions: pairs within reach.
         parameters: of collisions, their barrier, and the smoothing.
         distances: of all pairs, see `Collisions.distances`, if they are known.
@@ -254,7 +256,7 @@ def collision_energy(
 
 
 def _margin(listed: Float[Array, " p"], parameters: Parameters) -> Float[Array, " p"]:
-    """The listed margins, with their derivatives in the parameters.
+    """Return the listed margins, differentiable in the parameters.
 
     A margin is the barrier's range, or a length at rest in collision ranges.
     """
@@ -270,17 +272,17 @@ def collision_clearances(
     collisions: Collisions,
     distances: PairDistances | None = None,
 ) -> Float[Array, " m"]:
-    """Distance of every vertex's triangles and edges to what they must not cross.
+    """Return each vertex's clearance, by its listed triangles and edges.
 
-    If no vertex moves by half of it, no two listed pairs meet on the way.
+    If no vertex moves by half of its clearance, no listed pair meets on the way.
 
     Args:
-        membrane: where it is.
+        membrane: at its present position.
         collisions: pairs within reach.
         distances: of all pairs, see `Collisions.distances`, if they are known.
 
     Returns:
-        In r0, infinite where nothing is listed.
+        The clearances in r0, infinite where nothing is listed.
     """
     vertex, edge = collisions.distances(membrane) if distances is None else distances
     total = membrane.vertices.shape[0]

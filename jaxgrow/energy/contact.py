@@ -38,11 +38,13 @@ from jaxgrow.state import Membrane, Particles
 def barrier(
     u: Float[Array, "*n"], margin: Float[Array, "*n"] | Scalar
 ) -> Float[Array, "*n"]:
-    """The barrier b(u): infinite at 0, twice differentiable where it sets in.
+    """Return the logarithmic barrier b(u), twice differentiable at its onset.
+
+    It is infinite at 0.
 
     Args:
         u: distances.
-        margin: where it sets in, û; in the same unit, 0 for none.
+        margin: the onset û, in the same unit; 0 for none.
     """
     inside = u < margin
     safe = jnp.where(inside, jnp.maximum(u, smallest_distance(u.dtype)), 1)
@@ -51,7 +53,7 @@ def barrier(
 
 
 class Contact(eqx.Module):
-    """The interaction of a particle with the surface, by its smooth distance.
+    """Contact of a particle with the surface, by its smooth distance.
 
     Class attributes:
         name: of the term.
@@ -81,7 +83,7 @@ CONTACT = Contact()
 
 
 class Contacts(eqx.Module):
-    """Pairs of a particle and a triangle that may be within reach of each other.
+    """Contact list: pairs of particle and triangle that may be within reach.
 
     Attributes:
         particle: index of the particle of each pair, ascending.
@@ -89,7 +91,7 @@ class Contacts(eqx.Module):
         corners: vertices of that triangle.
         real: False for padding.
         reference: particle positions and vertices when the list was made.
-        overflow: whether it was too small; then it must not be used.
+        overflow: whether its capacity was exceeded; then it must not be used.
     """
 
     particle: Int[Array, " p"]
@@ -102,7 +104,7 @@ class Contacts(eqx.Module):
     def moved(
         self, position: Float[Array, "n 3"], vertices: Float[Array, "m 3"]
     ) -> Float[Array, ""]:
-        """Farthest moves of a particle and of a vertex since, together, in r0."""
+        """Return the farthest moves of a particle and a vertex, summed, in r0."""
         particles, corners = self.reference
         return jnp.max(safe_norm(position - particles)) + jnp.max(
             safe_norm(vertices - corners)
@@ -110,12 +112,12 @@ class Contacts(eqx.Module):
 
 
 def reach(parameters: Parameters) -> Scalar:
-    """Distance, in r0, from which on particle and membrane do not interact."""
+    """Return the cutoff of contact, in r0."""
     return CUTOFF * parameters.contact_range
 
 
 def _spheres(membrane: Membrane, radius: Scalar) -> Spheres:
-    """Spheres around the triangles that hold every point within `radius` of them."""
+    """Return spheres that hold every point within `radius` of a triangle."""
     corners = membrane.vertices[membrane.faces]
     centre = jnp.mean(corners, axis=1)
     size = jnp.max(safe_norm(corners - centre[:, None, :]), axis=1)
@@ -123,13 +125,13 @@ def _spheres(membrane: Membrane, radius: Scalar) -> Spheres:
 
 
 SPHERES_PER_CONTACT = 3
-"""Pairs by the spheres around triangles for each pair by exact distance, at most."""
+"""Largest ratio of candidates (by the spheres around triangles) to contacts."""
 
 
 def count_contacts(
     particles: Particles, membrane: Membrane, radius: Scalar
 ) -> Int[Array, ""]:
-    """How many pairs the spheres leave: an upper bound of what a list holds."""
+    """Count the candidates that the spheres leave: an upper bound of contacts."""
     spheres = _spheres(membrane, radius)
     return count_inside(particles.position, particles.alive, spheres)
 
@@ -137,9 +139,9 @@ def count_contacts(
 def list_contacts(
     particles: Particles, membrane: Membrane, radius: Scalar, capacity: int
 ) -> Contacts:
-    """All pairs closer than `radius` (in r0), ordered by particle.
+    """List all pairs closer than `radius` (in r0), ordered by particle.
 
-    Spheres around the triangles leave candidates, exact distances decide.
+    Bounding spheres of the triangles give the candidates, exact distances decide.
     """
     size = SPHERES_PER_CONTACT * capacity
     spheres = _spheres(membrane, radius)
@@ -162,7 +164,7 @@ def narrow_contacts(
     radius: Scalar,
     capacity: int,
 ) -> Contacts:
-    """Those of a list that are closer than `radius` (in r0) now, in the same order."""
+    """Filter a list to the pairs closer than `radius` (in r0), in order."""
     near = contact_distances(particles, membrane, wide) < radius
     chosen, count = list_true(near, capacity)
     real = jnp.arange(capacity, dtype=jnp.int32) < count
@@ -180,7 +182,7 @@ def narrow_contacts(
 def contact_distances(
     particles: Particles, membrane: Membrane, contacts: Contacts
 ) -> Float[Array, " p"]:
-    """Exact distance of every listed pair, in r0; infinite for padding."""
+    """Return exact distances of listed pairs, in r0; infinite for padding."""
     position, vertices = split(particles.position), split(membrane.vertices)
     point = tuple(column[contacts.particle] for column in position)
     a, b, c = (tuple(column[at] for column in vertices) for at in contacts.corners)
@@ -194,11 +196,11 @@ def smooth_distance(
     count: int,
     parameters: Parameters,
 ) -> Float[Array, " n"]:
-    """Smooth minimum per particle of the listed distances, in contact ranges.
+    """Return the smooth minimum of distances per particle, in contact ranges.
 
     Args:
         distance: exact distance of every pair, in r0, infinite for padding.
-        contacts: whose pairs these are.
+        contacts: the list of the pairs.
         count: number of particles n.
         parameters: contact range and sharpness are used.
 
@@ -223,11 +225,11 @@ def contact_energy(
     parameters: Parameters,
     distance: Float[Array, " p"] | None = None,
 ) -> Float[Array, ""]:
-    """Energy in F(0) r0.
+    """Return the contact energy, in F(0) r0.
 
     Args:
         particles: dead ones do not count.
-        membrane: whose faces are listed.
+        membrane: the faces of which are listed.
         contacts: pairs within reach.
         parameters: of the contact, its barrier, and the smoothing.
         distance: of every pair, see `contact_distances`, if it is known.
@@ -246,15 +248,15 @@ def clearances(
     membrane: Membrane,
     count: int,
 ) -> tuple[Float[Array, " n"], Float[Array, " m"]]:
-    """Distance of every particle to the membrane, of every vertex to the particles.
+    """Return the least distance of each particle, and of each vertex.
 
     The clearance of a vertex is that of its triangles: if no particle and no vertex
     moves by half of its clearance, no particle meets a triangle anywhere on the way.
 
     Args:
         distance: exact distance of every listed pair, in r0.
-        contacts: whose pairs these are.
-        membrane: whose faces are listed.
+        contacts: the list of the pairs.
+        membrane: the faces of which are listed.
         count: number of particles n.
 
     Returns:

@@ -1,4 +1,4 @@
-"""Exact distances, point to triangle and segment to segment, twice differentiable."""
+"""Exact distances, point-triangle and segment-segment, with derivatives."""
 
 from collections.abc import Sequence
 
@@ -11,23 +11,26 @@ from jaxgrow.runtime.types import Columns
 
 
 def split_corners(shapes: Float[Array, "*p k 3"]) -> tuple[Columns, ...]:
-    """The columns of each corner of triangles, or of each end of pairs of segments."""
+    """Split triangles or segment pairs into columns of each corner or end."""
     return tuple(split(shapes[..., k, :]) for k in range(shapes.shape[-2]))
 
 
 def _along(to_point: Columns, side: Columns) -> Float[Array, "*p"]:
-    """Share of the side at which it is closest to the point; 0 for length 0."""
+    """Return the share of a side at its point closest to a point.
+
+    It is 0 for a side of length 0.
+    """
     square = dot(side, side)
     return jnp.clip(dot(to_point, side) / jnp.where(square > 0, square, 1), 0, 1)
 
 
 def closest_weights(point: Columns, a: Columns, b: Columns, c: Columns) -> Columns:
-    """Barycentric weights of the point of the triangle closest to `point`.
+    """Return barycentric weights of the triangle's point closest to `point`.
 
     The nearest of four candidates: the closest point of each side, and the foot of the
-    perpendicular where it falls inside. A triangle without area is so treated as its
-    sides; a decision by Voronoi regions would take it for whatever the rounding of its
-    area says, and overestimate the distance.
+    perpendicular where it falls inside. A triangle without area is therefore treated as
+    its sides; a classification by Voronoi regions would depend on the rounding of its
+    area, and overestimate the distance.
     """
     ab, bc, ac = minus(b, a), minus(c, b), minus(c, a)
     ap, bp = minus(point, a), minus(point, b)
@@ -59,7 +62,7 @@ def _nearest(
     candidates: Sequence[tuple[Bool[Array, "*p"] | bool, Columns]],
     gaps: Sequence[Columns],
 ) -> Columns:
-    """The possible candidate with the shortest gap, the first of equals."""
+    """Select the valid candidate with the shortest gap, the first of equals."""
     best = jnp.full_like(gaps[0][0], jnp.inf)
     which = jnp.full(best.shape, -1)
     for number, ((possible, _), gap) in enumerate(zip(candidates, gaps, strict=True)):
@@ -78,17 +81,16 @@ def _nearest(
 
 
 def _once(values: PyTree) -> PyTree:
-    """The same values, computed once.
+    """Return the same values, computed once (optimisation barrier).
 
-    Left alone, the compiler computes them anew, and rounds them otherwise, for each of
-    several results; of a needle's weights that leaves three that do not belong
-    together.
+    Otherwise the compiler recomputes them, with other rounding, for each of several
+    results, and the three weights of a needle would be inconsistent.
     """
     return jax.lax.optimization_barrier(values)
 
 
 def _at(weights: Columns, *points: Columns) -> Columns:
-    """Weighted sum of points."""
+    """Return the weighted sum of points."""
     total = tuple(weights[0] * x for x in points[0])
     for weight, point in zip(weights[1:], points[1:], strict=True):
         total = tuple(t + weight * x for t, x in zip(total, point, strict=True))
@@ -99,7 +101,7 @@ def _at(weights: Columns, *points: Columns) -> Columns:
 def triangle_distance(
     point: Columns, a: Columns, b: Columns, c: Columns
 ) -> Float[Array, "*p"]:
-    """Exact distance of each point to its triangle.
+    """Return the exact distance of each point to its triangle.
 
     Its first derivative is the one at a fixed closest point (envelope theorem). The
     rule below states it as a function that is differentiated again in full, through
@@ -124,14 +126,16 @@ def _triangle_jvp(
 def point_triangle_distance(
     point: Float[Array, "*p 3"], corners: Float[Array, "*p 3 3"]
 ) -> Float[Array, "*p"]:
-    """`triangle_distance` of rows."""
+    """Return `triangle_distance` of arrays of rows."""
     return triangle_distance(split(point), *split_corners(corners))
 
 
 def closest_shares(
     a: Columns, b: Columns, c: Columns, d: Columns
 ) -> tuple[Float[Array, "*p"], Float[Array, "*p"]]:
-    """Where the segments ab and cd are closest: shares s, t from 0 (a, c) to 1 (b, d).
+    """Return the shares s, t of the closest points of segments ab and cd.
+
+    They run from 0 (a, c) to 1 (b, d).
 
     The nearest of five candidates: the feet of the common perpendicular, where both
     fall inside, and the closest point of each end on the other segment. Parallel
@@ -167,7 +171,7 @@ def closest_shares(
 
 
 def _between(s: Float[Array, "*p"], t: Float[Array, "*p"], *ends: Columns) -> Columns:
-    """Vector from the share t of the second segment to the share s of the first."""
+    """Return the vector from share t of the second segment to s of the first."""
     a, b, c, d = ends
     return minus(_at((1 - s, s), a, b), _at((1 - t, t), c, d))
 
@@ -176,9 +180,10 @@ def _between(s: Float[Array, "*p"], t: Float[Array, "*p"], *ends: Columns) -> Co
 def segment_distance(
     a: Columns, b: Columns, c: Columns, d: Columns
 ) -> Float[Array, "*p"]:
-    """Exact distance of the segments ab and cd; its derivatives are as for a triangle.
+    """Return the exact distance of the segments ab and cd.
 
-    It has a kink where the segments are parallel.
+    Its derivatives are taken as in `triangle_distance`. It has a kink where the
+    segments are parallel.
     """
     return norm(_between(*closest_shares(a, b, c, d), a, b, c, d))
 

@@ -32,7 +32,7 @@ from jaxgrow.state import Particles, Species
 
 
 class Pairs(eqx.Module):
-    """The interaction of two particles.
+    """Pair potential of two particles.
 
     Class attributes:
         name: of the term.
@@ -52,7 +52,7 @@ class Pairs(eqx.Module):
         Args:
             u: distance, in r0.
             one: 1 if the one is of the tumour, else 0.
-            other: likewise.
+            other: the same of the other.
             p: has the `parameters` by name.
         """
         both = one * other
@@ -67,7 +67,10 @@ PAIRS = Pairs()
 def _columns(
     particles: Particles, listed: Int[Array, "k n"]
 ) -> tuple[Columns, Float[Array, "k n"], Float[Array, "k n"], Float[Array, "k n"]]:
-    """x_i - x_j of every entry, its length, and the species; far for empty entries."""
+    """Return x_i - x_j of every entry, its length, and both species.
+
+    Empty entries are beyond the cutoff.
+    """
     position, count = particles.position, particles.position.shape[0]
     real = (listed < count) & particles.alive[None, :]
     other = jnp.where(real, listed, 0)
@@ -85,7 +88,7 @@ def _columns(
 def _slope(
     length: Array, one: Array, other: Array, parameters: Parameters
 ) -> Float[Array, "..."]:
-    """Derivative of the energy of each pair in its distance."""
+    """Return the derivative of each pair's energy in its distance."""
     p = values_of(PAIRS, parameters)
     total = jax.grad(lambda u: jnp.sum(PAIRS.energy(u, one, other, p)))
     return total(length)
@@ -94,7 +97,7 @@ def _slope(
 def pair_force(
     particles: Particles, listed: Int[Array, "k n"], parameters: Parameters
 ) -> Float[Array, "n 3"]:
-    """Return the force on every particle, in F(0); 0 between ones at the same point.
+    """Return the force on every particle, in F(0); 0 between coincident ones.
 
     Args:
         particles: positions in r0.
@@ -134,7 +137,7 @@ def force_on(
 def pair_energy(
     particles: Particles, listed: Int[Array, "k n"], parameters: Parameters
 ) -> Float[Array, ""]:
-    """Return the energy in F(0) r0. Arguments as for `pair_force`."""
+    """Return the pair energy, in F(0) r0; arguments as for `pair_force`."""
     _, length, one, other = _columns(particles, listed)
     each = PAIRS.energy(length, one, other, values_of(PAIRS, parameters))
     return 0.5 * jnp.sum(each)

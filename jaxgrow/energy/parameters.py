@@ -1,4 +1,4 @@
-"""The parameters of growth: a pytree of floats, with their units and ranges."""
+"""Parameters of growth: a pytree of floats, with units and ranges."""
 
 import math
 import warnings
@@ -15,7 +15,7 @@ from jaxgrow.runtime.types import Scalar
 
 
 class UnstableAdhesionWarning(UserWarning):
-    """Adhesion above 149/371: in three dimensions the cluster collapses into itself."""
+    """Warning of adhesion above 149/371: in 3-D the cluster collapses."""
 
 
 _RANGES = {
@@ -39,7 +39,7 @@ _RANGES = {
 
 
 class Parameters(eqx.Module):
-    """What the mechanics of a growth depends on; every leaf may be differentiated.
+    """Parameters of the mechanics; every leaf may be differentiated.
 
     Lengths are in r0, the equilibrium distance of two particles; forces in F(0),
     the repulsion of two particles at one point; energies in F(0) r0.
@@ -117,7 +117,7 @@ class Parameters(eqx.Module):
 
 
 def as_arrays(parameters: Parameters, dtype: DTypeLike) -> Parameters:
-    """The same values as arrays: a number would be a constant of each program."""
+    """Convert all values to arrays; numbers would be compiled as constants."""
     values = jax.tree.leaves(parameters)
     if all(isinstance(v, jax.Array) and v.dtype == dtype for v in values):
         return parameters

@@ -1,14 +1,14 @@
-"""Which points lie in which spheres, listed without an array of all pairs.
+"""Search for the spheres that hold a point, without an array of all pairs.
 
-Of 32 spheres a point's answers are the bits of one word. Words are counted by their
-bits, and the list is read from the counts: of few pairs that costs a tenth of
-``jnp.nonzero``, which goes through every pair.
+The results of a point for 32 spheres are the bits of one word. The set bits of words
+are counted, and the list is read from the counts: for sparse results that costs a tenth
+of ``jnp.nonzero``, which visits every pair.
 
-Many spheres are put in the order of a curve that fills space (Morton, "A computer
-oriented geodetic data base", 1966) and tied up in bundles of 32, each with a sphere
-around it. A point is asked for its bundles first, and only for the spheres in those
-then. These pairs of a point and a bundle are taken in rounds of equal size, as many as
-there are: memory is bounded, and nothing but the list can overflow.
+Many spheres are sorted along a space-filling curve (Morton, "A computer oriented
+geodetic data base", 1966) and grouped in bundles of 32, each with a bounding sphere. A
+point is tested against the bundles first, and then only against the spheres of those
+that hold it. These pairs of a point and a bundle are processed in rounds of equal size,
+as many as needed: memory is bounded, and only the list can overflow.
 """
 
 from typing import NamedTuple
@@ -21,19 +21,19 @@ from jaxgrow.numerics.bitmask import BITS, count_bits, counted, set_bits
 
 
 FEW_PAIRS = 2**22
-"""Up to as many pairs of a point and a sphere no bundles are tied."""
+"""Pairs of a point and a sphere up to which no bundles are made."""
 
 ROUND = 2**15
-"""Pairs of a point and a bundle in a round."""
+"""Pairs of a point and a bundle per round."""
 
 KEYS = 2**32
-"""Up to as many pairs have a number each that they are sorted by."""
+"""Number of pairs up to which a pair is one 32-bit sort key."""
 
 _SLACK = 1.001
 """Factor on the radius of a bundle, so that rounding loses none of its spheres."""
 
 _MORTON_BITS = 10
-"""Of a coordinate in the number of a place on the curve."""
+"""Bits of a coordinate in the Morton code."""
 
 
 class Spheres(NamedTuple):
@@ -49,12 +49,12 @@ class Spheres(NamedTuple):
 
 
 class Inside(NamedTuple):
-    """Pairs of a point and a sphere that it lies in, by point, then by sphere.
+    """Pairs of a point and a sphere that holds it, by point, then by sphere.
 
     Attributes:
         point: index of the point of each pair, 0 for padding.
         sphere: index of its sphere, 0 for padding.
-        total: how many pairs there are, listed or not.
+        total: number of pairs, listed or not.
     """
 
     point: Int[Array, " p"]
@@ -75,12 +75,12 @@ class _Columns(NamedTuple):
 
 
 class _Bundles(NamedTuple):
-    """Spheres in bundles: that of row j and column w is in bundle w.
+    """Bundles of spheres: the sphere of row j, column w is in bundle w.
 
     Attributes:
-        around: a sphere around each bundle.
-        member: the spheres of each.
-        which: index of each of those.
+        around: bounding sphere of each bundle.
+        member: its spheres.
+        which: their indices.
     """
 
     around: Spheres
@@ -91,13 +91,13 @@ class _Bundles(NamedTuple):
 def list_inside(
     points: Float[Array, "n 3"], alive: Bool[Array, " n"], spheres: Spheres, size: int
 ) -> Inside:
-    """Pairs of a point and a sphere that it lies in; all, if they are `size` at most.
+    """List the pairs of a point and a sphere that holds it, up to `size`.
 
     Args:
         points: in r0.
-        alive: which of them are asked for.
-        spheres: that they may lie in.
-        size: of the list.
+        alive: False for points that are skipped.
+        spheres: the spheres.
+        size: capacity of the list.
     """
     if points.shape[0] * spheres.radius.shape[0] <= FEW_PAIRS:
         words = _words(points, alive, _columns(spheres))
@@ -110,7 +110,7 @@ def list_inside(
 def count_inside(
     points: Float[Array, "n 3"], alive: Bool[Array, " n"], spheres: Spheres
 ) -> Int[Array, ""]:
-    """How many pairs there are of a point and a sphere that it lies in."""
+    """Count the pairs of a point and a sphere that holds it."""
     if points.shape[0] * spheres.radius.shape[0] <= FEW_PAIRS:
         held = count_bits(_words(points, alive, _columns(spheres)))
         return jnp.sum(held, dtype=jnp.int32)
@@ -118,7 +118,7 @@ def count_inside(
 
 
 def _columns(spheres: Spheres) -> _Columns:
-    """The spheres by words, with empty ones to fill the last word."""
+    """Arrange spheres by words, with empty ones to fill the last word."""
     extra = -spheres.radius.shape[0] % BITS
     finite = jnp.isfinite(spheres.radius)
     square = jnp.where(finite, spheres.radius, 0) ** 2
@@ -131,7 +131,7 @@ def _columns(spheres: Spheres) -> _Columns:
 def _words(
     points: Float[Array, "n 3"], alive: Bool[Array, " n"], spheres: _Columns
 ) -> UInt[Array, "n w"]:
-    """In which spheres each point lies, a word for every column."""
+    """Test which spheres hold each point; return a word per column."""
     empty = jnp.zeros((points.shape[0], spheres.square.shape[1]), jnp.uint32)
 
     def filled() -> UInt[Array, "n w"]:
@@ -145,21 +145,21 @@ def _words(
             words |= jnp.where(within, jnp.uint32(1 << bit), jnp.uint32(0))
         return words
 
-    # a branch, so that the compiler does not test again wherever a word is used
+    # a branch, so that the compiler does not repeat the test at every use of a word
     return jax.lax.cond(jnp.any(alive), filled, lambda: empty)
 
 
 def _pairs(
     place: Int[Array, " s"], bit: Int[Array, " s"], columns: int
 ) -> tuple[Int[Array, " s"], Int[Array, " s"]]:
-    """Row and column that a bit of a table of words stands for."""
+    """Convert the place of a bit in a table of words to row and column."""
     return place // columns, place % columns * BITS + bit
 
 
 def _list_by_bundles(
     points: Float[Array, "n 3"], alive: Bool[Array, " n"], spheres: Spheres, size: int
 ) -> Inside:
-    points, spheres = jax.lax.stop_gradient((points, spheres))  # a loop of any length
+    points, spheres = jax.lax.stop_gradient((points, spheres))  # while: no reverse mode
     bundles = _tied(spheres)
     words = _words(points, alive, _columns(bundles.around))
     tally = counted(words.reshape(-1))
@@ -186,7 +186,7 @@ def _list_by_bundles(
         total = found.total + held.total
         return start + ROUND, Inside(found.point, found.sphere, total)
 
-    # a round writes all that it has room for; what is past the end is cut off
+    # a round always writes ROUND entries; those past the end are cut off
     empty, zero = jnp.zeros(size + ROUND, jnp.int32), jnp.zeros((), jnp.int32)
     state = zero, Inside(empty, empty, zero)
     _, found = jax.lax.while_loop(lambda s: s[0] < tally.total, in_round, state)
@@ -199,7 +199,7 @@ def _member_words(
     member: _Columns,
     bundle: Int[Array, " s"],
 ) -> UInt[Array, " s"]:
-    """In which spheres of its bundle each point lies."""
+    """Test which spheres of its bundle hold each point."""
     words = jnp.zeros(bundle.shape, jnp.uint32)
     for bit in range(BITS):
         near = jnp.zeros(bundle.shape, points.dtype)
@@ -211,7 +211,7 @@ def _member_words(
 
 
 def _tied(spheres: Spheres) -> _Bundles:
-    """Bundles of spheres that are near each other."""
+    """Group nearby spheres in bundles."""
     count = spheres.radius.shape[0]
     use = jnp.isfinite(spheres.radius) & jnp.all(jnp.isfinite(spheres.centre), axis=1)
     use &= spheres.radius > 0
@@ -235,7 +235,7 @@ def _tied(spheres: Spheres) -> _Bundles:
 def _along_curve(
     centre: Float[Array, "f 3"], use: Bool[Array, " f"]
 ) -> UInt[Array, " f"]:
-    """Place of each on the curve; of what is not used, the last."""
+    """Return the Morton code of each centre; the largest for unused ones."""
     low = jnp.min(jnp.where(use[:, None], centre, jnp.inf), axis=0)
     high = jnp.max(jnp.where(use[:, None], centre, -jnp.inf), axis=0)
     side = jnp.maximum(jnp.max(high - low), jnp.finfo(centre.dtype).tiny)
@@ -250,7 +250,7 @@ def _along_curve(
 
 
 def _ordered(found: Inside, size: int, points: int, spheres: int) -> Inside:
-    """What was found up to `size`, by point, then by sphere."""
+    """Sort the pairs found, up to `size`, by point, then by sphere."""
     real = jnp.arange(size, dtype=jnp.int32) < found.total
     point = jnp.where(real, found.point[:size], points)  # padding comes last
     sphere = found.sphere[:size]

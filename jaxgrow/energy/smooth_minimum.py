@@ -1,9 +1,9 @@
-r"""The smooth minimum of a few distances, for contact with a surface of triangles.
+r"""Smooth minimum of distances, for contact with a triangulated surface.
 
 The exact distance to a surface, :math:`\min_t d_t` over its triangles, has kinks on the
 medial axis, and inside a fold or under a tip a particle is pushed precisely there, so
-that equilibria are not smooth and relaxation never ends. With q half of the sharpness
-p, the reach R, and all distances :math:`u_t` in units of a range,
+that equilibria are not smooth and relaxation does not converge. With q half of the
+sharpness p, the reach R, and all distances :math:`u_t` in units of a range,
 
 .. math::
     u = \left( \Big( \sum_t a_t^2 \Big)^{1/2} + R^{-q} \right)^{-1/q}, \qquad
@@ -36,7 +36,7 @@ def smooth_minimum(
     sharpness: Scalar,
     reach: float,
 ) -> Float[Array, " n"]:
-    """Smooth minimum of the values that belong to each owner.
+    """Return the smooth minimum of the values of each owner.
 
     Args:
         u: values, not negative.
@@ -68,5 +68,5 @@ def smooth_minimum(
 
 
 def _power(base: Float[Array, "*p"], exponent: Scalar) -> Float[Array, "*p"]:
-    """A positive base to a power: on a CPU several times faster than the operator."""
+    """Raise a positive base to a power; on a CPU faster than the operator."""
     return jnp.exp(exponent * jnp.log(base))

@@ -8,11 +8,11 @@ of the edge when the springs were last reset.
 
 The pretension :math:`\tau` is ours; the paper resets to :math:`\ell^0` itself. With
 :math:`\tau = 0` a membrane has no linear stiffness out of its plane right after each
-reset, so it dives into every gap between the particles that it adheres to, and
-crumples at the base of a lesion. The paper wants "a small tension in the surface" that
-acts "as a smoothing factor"; :math:`\tau` is that tension. Its force
-:math:`k \tau \ell` per edge, proportional to the length, also draws every vertex
-towards the mean of its neighbours, which keeps triangles even.
+reset, so it dives into every gap between the particles that it adheres to, and crumples
+at the base of a lesion. The paper asks for "a small tension in the surface" that acts
+"as a smoothing factor"; :math:`\tau` is that tension. Its force :math:`k \tau \ell` per
+edge, proportional to the length, also draws every vertex towards the mean of its
+neighbours, which keeps triangles even.
 """
 
 from typing import Any

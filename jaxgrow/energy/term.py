@@ -1,4 +1,4 @@
-r"""Energy terms: the energy of one element, and which elements a scene has.
+r"""Energy terms: the energy of one element, and the elements of a scene.
 
 A term is written once, as a function of the coordinates of *one* element (an edge, a
 hinge, a triangle, a particle, ...), of its rest data and of its parameters. The energy
@@ -9,8 +9,8 @@ takes,
     E = \sum_e W(x_e, q_e, p), \quad F = -\nabla E, \quad
     H v = \left.\frac{d}{d\epsilon}\right|_0 \nabla E(x + \epsilon v),
 
-by `jax.vmap` over the elements where XLA evaluates them, and by loops that are printed
-from the same function (`jaxgrow.kernels.elements`) on a processor.
+by `jax.vmap` over the elements where XLA evaluates them, and on a CPU by loops that are
+generated from the same function (`jaxgrow.kernels.elements`).
 
 Nodes are numbered through: first the particles' slots, then the membrane's vertices.
 """
@@ -30,11 +30,11 @@ from jaxgrow.state import Membrane, Particles
 
 
 class Elements(NamedTuple):
-    """The elements that a term has in a scene.
+    """Elements of a term in a scene.
 
     Attributes:
         nodes: the nodes of each.
-        rest: data of each, as of when it was at rest.
+        rest: rest data of each.
         alive: False for padding.
     """
 
@@ -44,7 +44,7 @@ class Elements(NamedTuple):
 
 
 class Term(eqx.Module):
-    """An energy that is a sum over elements; subclass it to add one.
+    """Energy that is a sum over elements; subclass it to add one.
 
     Fields of a subclass are parameters of its own, which may be differentiated.
 
@@ -82,13 +82,13 @@ class Term(eqx.Module):
 
 
 class MembraneTerm(Term):
-    """A term of the membrane's elasticity, whose rest data are reset with its springs.
+    """Term of the membrane's elasticity, with rest data reset like springs.
 
     Class attributes:
-        modulus: the parameter that is a factor of the energy; where it is 0 the term
-            is left out.
-        per: whether an element is of an edge or of a face of the membrane.
-        edges: how many edges two nodes of an element are apart at most.
+        modulus: the parameter that is a factor of the energy; the term is left out
+            where it is 0.
+        per: whether an element belongs to an edge or to a face of the membrane.
+        edges: largest number of edges between two nodes of an element.
     """
 
     modulus: ClassVar[str]
@@ -97,7 +97,7 @@ class MembraneTerm(Term):
 
     @abstractmethod
     def rest(self, x: tuple[Columns, ...]) -> Columns:
-        """Return the rest data of one element that is at rest where its nodes are.
+        """Return the rest data of one element at its present position.
 
         Args:
             x: for each node its three coordinates, in r0.
@@ -123,7 +123,7 @@ class MembraneTerm(Term):
         return Elements(vertices.astype(int) + first, membrane.rest[self.name], alive)
 
     def at_rest(self, membrane: Membrane) -> Float[Array, "e q"]:
-        """Return the rest data of all elements where they are; 0 for padding."""
+        """Return the rest data of all elements as they are; 0 for padding."""
         vertices, alive = self.stencil(membrane)
         x = _gathered(membrane.vertices, vertices, alive)
         rest = jnp.stack(jax.vmap(self.rest)(x), axis=1)
@@ -159,10 +159,9 @@ def energy_of_elements(
 def _gathered(
     nodes: Float[Array, "n 3"], index: Int[Array, "e k"], alive: Bool[Array, " e"]
 ) -> tuple[Columns, ...]:
-    """Coordinates of the nodes of each element; of padding, of a regular one.
+    """Gather the node coordinates of each element; padding gets regular ones.
 
-    Derivatives of padding would be NaN where its garbage is degenerate, and NaN times 0
-    is NaN.
+    Derivatives of degenerate padding would be NaN, and NaN times 0 is NaN.
     """
     corners = tuple(nodes[index[:, k]] for k in range(index.shape[1]))
     regular = [

@@ -1,4 +1,4 @@
-"""The terms of the membrane's elasticity: add one by a line here."""
+"""Terms of the membrane's elasticity; add one by a line here."""
 
 from jaxgrow.energy.bending import Bending
 from jaxgrow.energy.springs import Springs

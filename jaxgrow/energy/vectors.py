@@ -1,4 +1,4 @@
-"""Arithmetic of vectors that are given as tuples of their components.
+"""Vector arithmetic on tuples of components.
 
 Energies of one element are written with these: a component is a scalar where the
 energy of a single element is traced, and an array where many are evaluated at once
