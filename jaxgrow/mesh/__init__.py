@@ -1,1 +1,1 @@
-"""Triangle meshes on the host: fairing, proximity, audit. Numpy only, never jax."""
+"""Triangle meshes on the host: fairing, proximity, audit; without JAX."""

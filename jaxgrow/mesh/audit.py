@@ -1,8 +1,8 @@
 """Independent audit of a closed organ mesh.
 
-Nothing here uses the topology, the distances or the operations that made the mesh.
-Every count is of defects, so a clean mesh has zeros; the shape distribution, the
-number of components, the Euler number and the volume are reported besides.
+It shares no code with the topology, the distances or the operations that made the mesh.
+Every count is of defects, so a clean mesh has zeros; the shape distribution, the number
+of components, the Euler number and the volume are reported as well.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from jaxgrow.mesh.intersection import intersecting_pairs
 
 DEGENERATE = 1e-10
 """Twice the area over the square of the longest side, below which a triangle counts
-as degenerate: in float64 its normal is no longer known to more than a few digits."""
+as degenerate: in float64 its normal is accurate to a few digits only."""
 
 FOLD_DEGREES = 175.0
 """Angle between the normals of neighbours, above which they lie on each other."""
@@ -28,7 +28,7 @@ FOLD_DEGREES = 175.0
 
 @dataclass(frozen=True)
 class SurfaceAudit:
-    """What the audit found.
+    """Findings of an audit.
 
     Attributes:
         vertices: Number of vertices.
@@ -36,7 +36,7 @@ class SurfaceAudit:
         components: Number of connected components (by shared vertices).
         euler_number: Vertices in use − edges + faces.
         volume: Signed enclosed volume (length³); positive for outward normals.
-        non_finite_vertices: Vertices with a coordinate that is no finite number.
+        non_finite_vertices: Vertices with a coordinate that is not finite.
         invalid_faces: Faces with an index out of range; they are left out below.
         unused_vertices: Vertices of no face. Reported, not a defect.
         boundary_edges: Edges of one face.
@@ -98,14 +98,14 @@ class SurfaceAudit:
         return not self.defects and self.components == 1 and self.volume > 0
 
     def as_dict(self) -> dict[str, Any]:
-        """All numbers and `clean`, ready for JSON."""
+        """Return all numbers and `clean`, ready for JSON."""
         return {**asdict(self), "clean": self.clean}
 
 
 def audit_surface(
     vertices: Float[np.ndarray, "m 3"], faces: Int[np.ndarray, "f 3"]
 ) -> SurfaceAudit:
-    """Examine a closed mesh for everything that a simulator would stumble over.
+    """Audit a closed mesh for all defects that break a simulation.
 
     Vertices that are not finite, and faces that use them or do not exist, are counted
     and left out of the geometric checks.
@@ -154,12 +154,12 @@ def audit_surface(
 
 
 def _half_edges(faces: Int[np.ndarray, "f 3"]) -> Int[np.ndarray, "h 2"]:
-    """Directed edges: all first ones, all second ones, all third ones."""
+    """List the half-edges: all first ones, all second ones, all third ones."""
     return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
 
 
 def _edge_census(faces: Int[np.ndarray, "f 3"], n_vertices: int) -> dict[str, int]:
-    """How many edges there are, and how many of them are wrong in which way."""
+    """Count the edges, and those with each kind of defect."""
     half = _half_edges(faces)
     half = half[half[:, 0] != half[:, 1]]
     low, high = half.min(axis=1), half.max(axis=1)
@@ -175,7 +175,7 @@ def _edge_census(faces: Int[np.ndarray, "f 3"], n_vertices: int) -> dict[str, in
 
 
 def _repeats_vertex(faces: Int[np.ndarray, "f 3"]) -> np.ndarray:
-    """Faces with the same vertex twice."""
+    """Mark the faces with the same vertex twice."""
     a, b, c = faces.T
     return (a == b) | (b == c) | (c == a)
 
@@ -183,7 +183,7 @@ def _repeats_vertex(faces: Int[np.ndarray, "f 3"]) -> np.ndarray:
 def _shapes(
     vertices: Float[np.ndarray, "m 3"], faces: Int[np.ndarray, "f 3"]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Twice r_in / r_circ of each face, and whether it is degenerate."""
+    """Compute 2 r_in / r_circ of each face, and mark degenerate faces."""
     corner = vertices[faces]
     side = np.linalg.norm(np.roll(corner, -1, axis=1) - corner, axis=2)
     cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
@@ -196,7 +196,7 @@ def _shapes(
 
 
 def _components(faces: Int[np.ndarray, "f 3"], n_vertices: int) -> int:
-    """Connected components among the vertices in use."""
+    """Count the connected components among the vertices in use."""
     half = _half_edges(faces)
     graph = coo_array(
         (np.ones(len(half), bool), (half[:, 0], half[:, 1])), shape=(n_vertices,) * 2
@@ -206,7 +206,7 @@ def _components(faces: Int[np.ndarray, "f 3"], n_vertices: int) -> int:
 
 
 def _volume(vertices: Float[np.ndarray, "m 3"], faces: Int[np.ndarray, "f 3"]) -> float:
-    """Signed volume, from the mean vertex to keep it exact far from the origin."""
+    """Compute the signed volume, about the mean vertex for accuracy."""
     if not len(faces):
         return 0.0
     corner = vertices[faces] - vertices[np.unique(faces)].mean(axis=0)
@@ -215,7 +215,10 @@ def _volume(vertices: Float[np.ndarray, "m 3"], faces: Int[np.ndarray, "f 3"]) -
 
 
 def _split_vertices(faces: Int[np.ndarray, "f 3"], n_vertices: int) -> int:
-    """Vertices whose faces fall into several fans, each joined through edges."""
+    """Count the vertices whose faces form more than one fan.
+
+    Faces of a fan are joined through edges.
+    """
     n_faces = len(faces)
     half = _half_edges(faces)
     face = np.tile(np.arange(n_faces), 3)
@@ -238,7 +241,10 @@ def _split_vertices(faces: Int[np.ndarray, "f 3"], n_vertices: int) -> int:
 
 
 def _folds(vertices: Float[np.ndarray, "m 3"], faces: Int[np.ndarray, "f 3"]) -> int:
-    """Edges whose two faces lie on each other, whichever way each is turned."""
+    """Count the edges whose two faces lie on each other.
+
+    The orientation of the faces does not matter.
+    """
     half = _half_edges(faces)
     third = np.concatenate([faces[:, 2], faces[:, 0], faces[:, 1]])
     key = half.min(axis=1) * len(vertices) + half.max(axis=1)

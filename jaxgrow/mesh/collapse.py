@@ -17,11 +17,11 @@ What the paper leaves open, and our choice:
   a surface that crosses itself or a wall (see `jaxgrow.mesh.intersection_guard`). Of
   two collapses of a round that would cross each other, the one of the shorter edge is
   done.
-- *What changes the shape*: a triangle that turns by more than ``max_angle`` (if it was
-  a sliver, whose normal says nothing: away from the mean normal of the star); a radius
-  ratio below `FAIR_SHAPE`, unless the star had one as bad; a triangle over
-  ``max_area``; an edge over ``max_edge``, unless the star had one as long; and a crease
-  of more than 90 degrees where there was none as sharp.
+- *Shape*: a collapse is refused for a triangle that turns by more than ``max_angle``
+  (if it was a sliver, whose normal is meaningless: away from the mean normal of the
+  star); a radius ratio below `FAIR_SHAPE`, unless the star had one as bad; a triangle
+  over ``max_area``; an edge over ``max_edge``, unless the star had one as long; and a
+  crease of more than 90 degrees where there was none as sharp.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ FAIR_SHAPE = 0.3
 
 @dataclass(frozen=True)
 class _Limits:
-    """What a collapse is for and what it may do; see `collapse`."""
+    """Bounds of what is collapsed and of the result; see `collapse`."""
 
     min_area: float
     max_area: float
@@ -135,7 +135,7 @@ def collapse_edges(
         surface: The surface.
         topology: Its topology.
         edges: The edges to collapse.
-        merging: What becomes of their ends.
+        merging: Which of their ends stays, and where.
 
     Returns:
         The surface without the two triangles of each edge, and the map to it.
@@ -163,7 +163,7 @@ def collapse_edges(
 def _wanted(
     surface: Surface, guards: tuple[Guard, Crossing], limits: _Limits
 ) -> tuple[Int[np.ndarray, " k"], Topology | None, dict[str, int]]:
-    """Edges to collapse now, the topology they refer to, and refusals by reason."""
+    """Select the edges to collapse now, with topology and refusals by reason."""
     triangles = surface.vertices[surface.faces]
     sides = side_lengths(triangles)
     want = sides < limits.min_edge
@@ -177,7 +177,7 @@ def _wanted(
     edges = edges[np.argsort(sides[want][where], kind="stable")]
 
     def keep(good: Bool[np.ndarray, " k"], reason: str) -> None:
-        """Go on with the good ones and count the others."""
+        """Keep the good ones and count the others."""
         nonlocal edges
         refused[f"collapse_refused_{reason}"] = int(np.count_nonzero(~good))
         edges = edges[good]
@@ -204,7 +204,7 @@ def _wanted(
 def common_neighbours(
     topology: Topology, edges: Int[np.ndarray, " k"]
 ) -> Int[np.ndarray, " k"]:
-    """Number of vertices joined by an edge to both ends of each edge."""
+    """Count the vertices joined by an edge to both ends of each edge."""
     n_vertices = len(topology.valence)
     both = np.concatenate([topology.edges, topology.edges[:, ::-1]])
     neighbours = group(both[:, 0], both[:, 1], n_vertices)
@@ -222,7 +222,7 @@ def _keeps_shape(
     triangles: Float[np.ndarray, "f 3 3"],
     limits: _Limits,
 ) -> Bool[np.ndarray, " k"]:
-    """Whether each collapse leaves the surface about where it is; see the module."""
+    """Return whether each collapse preserves the shape; see the module."""
     n_stars = len(stars.apex)
     worst = np.ones(n_stars)
     np.minimum.at(worst, stars.owner, radius_ratio(stars.old))
@@ -267,5 +267,5 @@ def _keeps_shape(
 def _dot(
     a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, " n"]:
-    """Scalar products."""
+    """Return the scalar product of each pair of rows."""
     return np.einsum("ni,ni->n", a, b)

@@ -1,4 +1,4 @@
-"""The triangles around edges that are to be collapsed, before and after."""
+"""Stars of edges that are to be collapsed, before and after."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from jaxgrow.mesh.topology import group, Topology
 
 @dataclass(frozen=True, eq=False)
 class Stars:
-    """All faces at the two ends of some edges, edge after edge.
+    """Stars of edges: all faces at their two ends, edge after edge.
 
     Attributes:
         owner: The edge of each entry, ascending.
@@ -37,7 +37,7 @@ class Stars:
     apex: Float[np.ndarray, "k 3"]
 
     def select(self, chosen: Bool[np.ndarray, " k"]) -> Stars:
-        """The stars of the chosen edges, numbered anew."""
+        """Return the stars of the chosen edges, renumbered."""
         keep = chosen[self.owner]
         number = np.cumsum(chosen) - 1
         return Stars(
@@ -52,7 +52,7 @@ class Stars:
         )
 
     def patches(self) -> Patches:
-        """The surface before and after each collapse."""
+        """Return the surface before and after each collapse."""
         stay = ~self.gone
         return Patches(
             self.old, self.owner, self.face, self.new[stay], self.owner[stay], self.apex
@@ -61,7 +61,7 @@ class Stars:
 
 @dataclass(frozen=True, eq=False)
 class Ends:
-    """What becomes of the ends of collapsing edges.
+    """Ends of collapsing edges: which stays, which goes, and where to.
 
     Attributes:
         stays: The end that keeps its index.
@@ -74,12 +74,12 @@ class Ends:
     middle: Bool[np.ndarray, " k"]
 
     def select(self, chosen: Int[np.ndarray, " s"]) -> Ends:
-        """What becomes of the chosen ones, in that order."""
+        """Return the ends of the chosen edges, in that order."""
         return Ends(self.stays[chosen], self.goes[chosen], self.middle[chosen])
 
 
 def ends(surface: Surface, topology: Topology, edges: Int[np.ndarray, " k"]) -> Ends:
-    """Ends that meet in the middle, or at the end that is kept.
+    """Choose the end that stays: a kept one, else the middle of the edge.
 
     Kept are the vertices that are fixed, on the rim, or the source.
     """
@@ -95,7 +95,7 @@ def collapsing_stars(surface: Surface, merging: Ends) -> Stars:
 
     Args:
         surface: The surface.
-        merging: What becomes of the ends of each edge.
+        merging: Which end of each edge stays, and where.
 
     Returns:
         Their stars.

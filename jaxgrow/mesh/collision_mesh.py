@@ -1,4 +1,4 @@
-"""A surface joined with the static walls around it, and which of their parts are near.
+"""Collision mesh: a surface joined with static walls, and its near pairs.
 
 The growing membrane may meet itself, the opposite wall, and every other part of the
 organ. All of them are one set of triangles here, the *sheet*: the surface's vertices
@@ -22,12 +22,12 @@ from jaxgrow.mesh.topology import build_topology
 
 @dataclass(frozen=True, eq=False)
 class Walls:
-    """The rest of an organ around a patch, which does not move.
+    """Static rest of an organ around a patch.
 
     Attributes:
         vertices: Positions, in the unit and frame of the surface.
         faces: Triangles, oriented as the surface's.
-        names: A number for each vertex that it has for the whole organ.
+        names: Index of each vertex in the whole organ.
     """
 
     vertices: Float[np.ndarray, "w 3"]
@@ -37,16 +37,16 @@ class Walls:
     def near(
         self, points: Float[np.ndarray, "n 3"], distance: float
     ) -> Int[np.ndarray, " k"]:
-        """Faces that may be within a distance of some point."""
+        """Find the faces that may be within a distance of some point."""
         if not len(self.faces) or not len(points):
             return np.zeros(0, dtype=np.int64)
         return kernels.loops("walls").near(*self._bounds, points, distance)
 
     @cached_property
     def _bounds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Corners of each face's box, its centre, and the radius of its sphere there.
+        """Bounds of each face: corners of its box, centre and radius of its sphere.
 
-        Made once, as walls do not move.
+        Computed once, as walls do not move.
         """
         corners = self.vertices[self.faces]
         centre = corners.mean(axis=1)
@@ -56,7 +56,7 @@ class Walls:
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """A surface with walls.
+    """Surface joined with walls.
 
     Attributes:
         vertices: The surface's first.
@@ -73,7 +73,7 @@ class Sheet:
     n_faces: int
 
     def self_intersections(self) -> Int[np.ndarray, "p 2"]:
-        """Pairs of faces, one of them of the surface, that meet where they must not."""
+        """Find the intersecting pairs of faces, one of them of the surface."""
         return np.concatenate(
             intersecting_pairs(self.vertices, self.faces, self.n_faces)
         )
@@ -85,11 +85,11 @@ def join(
     walls: Walls | None,
     distance: float,
 ) -> Sheet:
-    """The surface and the walls within a distance of it.
+    """Join a surface with the walls within a distance of it.
 
     Args:
         surface: The live surface.
-        names: For each of its vertices its number in the organ, -1 for none.
+        names: For each of its vertices its index in the organ, -1 for none.
         walls: The rest of the organ, or None.
         distance: Walls farther away are left out.
     """
@@ -122,7 +122,7 @@ def join(
 
 @dataclass(frozen=True, eq=False)
 class Encounters:
-    """Parts of a sheet that are near each other and share no vertex.
+    """Near pairs of a sheet's parts that share no vertex.
 
     Attributes:
         vertex: Of each pair of a vertex and a triangle, ascending.
@@ -131,7 +131,7 @@ class Encounters:
         vertex_apart: Whether the two are far from each other along the sheet.
         edges: Four ends of each pair of edges.
         edge_distance: Exact distance.
-        edge_apart: Likewise.
+        edge_apart: Whether the two edges are far from each other along the sheet.
     """
 
     vertex: Int[np.ndarray, " p"]
@@ -144,7 +144,7 @@ class Encounters:
 
 
 def encounters(sheet: Sheet, *, apart: float, local: float, along: float) -> Encounters:
-    """Find what is near, and which of it is one sheet.
+    """Find the near vertex-triangle and edge-edge pairs of a sheet.
 
     Two parts are *apart* if every path over edges from one to the other is longer than
     ``along``. At least one vertex of every pair is one that moves.
@@ -185,7 +185,7 @@ def encounters(sheet: Sheet, *, apart: float, local: float, along: float) -> Enc
 def distances_of(
     vertices: Float[np.ndarray, "m 3"], found: Encounters
 ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " q"]]:
-    """Exact distances of the pairs where the sheet's vertices are elsewhere.
+    """Compute exact distances of the pairs at other vertex positions.
 
     Args:
         vertices: Positions.
@@ -196,7 +196,7 @@ def distances_of(
 
 
 def nearest_apart(sheet: Sheet, *, within: float, along: float) -> float:
-    """Smallest distance of a vertex to a triangle that is apart from it.
+    """Return the least vertex-triangle distance of parts that are apart.
 
     Args:
         sheet: Surface and walls.
@@ -218,6 +218,6 @@ def nearest_apart(sheet: Sheet, *, within: float, along: float) -> float:
 def _edges(
     sheet: Sheet,
 ) -> tuple[Int[np.ndarray, "e 2"], Float[np.ndarray, " e"]]:
-    """All edges, and their lengths."""
+    """Return all edges, and their lengths."""
     edges = build_topology(sheet.faces, len(sheet.vertices)).edges
     return edges, lengths(sheet.vertices[edges[:, 1]] - sheet.vertices[edges[:, 0]])

@@ -24,7 +24,7 @@ SHORT_EDGE = 0.25
 
 
 class _Bounds(TypedDict):
-    """What no operation may cross or come too near to; see `fair`."""
+    """Obstacles that no operation may cross or come too near to; see `fair`."""
 
     walls: Float[np.ndarray, "w 3 3"] | None
     clearance: float
@@ -32,7 +32,7 @@ class _Bounds(TypedDict):
 
 
 def equilateral_side(area: float) -> float:
-    """Side of the equilateral triangle of an area: sqrt(4 A / sqrt 3)."""
+    """Return the side of the equilateral triangle of an area: √(4 A / √3)."""
     return float(np.sqrt(4.0 * area / np.sqrt(3.0)))
 
 
@@ -46,26 +46,26 @@ def fair(
     clearance: float = 0.15,
     gap: float = 0.05,
 ) -> tuple[Surface, Remeshing]:
-    """Fair the surface: the paper's phases in the paper's order, repair, and swaps.
+    """Fair the surface: subdivide, swap and collapse (paper §4), and repair.
 
-    Subdivision of the triangles that are too large (until none is), edge swaps, and
-    collapse of those that are too small; then pleats and slivers that are left are
-    repaired. Where something was collapsed or repaired the edges are swapped again, as
-    that leaves vertices of high valence behind; the paper does so in its next
-    iteration.
+    The paper's phases in the paper's order: subdivision of the triangles that are too
+    large (until none is left), edge swaps, and collapse of those that are too small.
+    Then the remaining pleats and slivers are repaired. After a collapse or repair the
+    edges are swapped again, as it leaves vertices of high valence; the paper does so in
+    its next iteration.
 
     Lengths are in r0, areas in r0². The lower bound must leave room under the upper
     one: a T-shape cuts a triangle just over ``max_area`` into halves.
 
     Args:
         surface: The live patch of membrane, pinned at its rim.
-        particles: Live particles, all on one side of it, where they stay.
+        particles: Live particles, all on one side of it, which they keep.
         max_area: Triangles above it are subdivided.
-        min_area: Triangles below it are collapsed, if that can be done safely.
+        min_area: Triangles below it are collapsed, if that is safe.
         walls: Static triangles that the surface must not cross, the rest of the organ
             near the patch, oriented as it is; None for none.
-        clearance: No operation may bring particle and surface nearer than this,
-            nor any nearer where they are nearer already.
+        clearance: Least distance of particle and surface that an operation may leave;
+            if they are nearer already, it must not decrease.
         gap: The same between triangles of the surface that face each other, or a wall.
 
     Returns:
@@ -113,13 +113,13 @@ def fair(
 def refine(
     surface: Surface, max_area: float, *, max_swap_rounds: int = 8
 ) -> tuple[Surface, Remeshing]:
-    """Bring a coarse patch to the particles' scale, with no particles there yet.
+    """Refine a coarse patch to the particles' scale, before particles exist.
 
     Subdivision passes with swaps between them, and a last subdivision that reaches the
     bound: no triangle with an edge off the rim is over it at the end.
 
-    It ends: swaps follow only as many passes as the largest triangle needs to get
-    under the bound, and every pass after that halves what is over it. Rim edges are
+    It terminates: swaps follow only as many passes as the largest triangle needs to get
+    under the bound, and every later pass halves the triangles over it. Rim edges are
     never split, so the triangles at a rim edge that is long against sqrt(max_area)
     become flat: cut the patch where its edges are short, or refine the whole organ.
 

@@ -1,4 +1,4 @@
-"""Which triangles of a mesh intersect each other.
+"""Intersection tests between the triangles of a mesh.
 
 Two triangles that share no vertex are convex sets; they are disjoint exactly if one of
 17 directions separates them (the two normals, the nine cross products of sides, and for
@@ -29,12 +29,14 @@ def intersecting_pairs(
     faces: Int[np.ndarray, "f 3"],
     first: int | None = None,
 ) -> tuple[Int[np.ndarray, "p 2"], Int[np.ndarray, "q 2"]]:
-    """All pairs of faces that intersect other than in a shared vertex or side.
+    """Find all pairs of faces that intersect beyond shared parts.
+
+    Shared parts are a common vertex or side.
 
     Args:
         vertices: Positions, finite.
         faces: Faces.
-        first: Number of faces of which one is in every pair; None for all pairs.
+        first: Every pair contains one of the first so many faces; None for all pairs.
 
     Returns:
         Pairs that share no vertex, and pairs that share exactly one; smaller face index
@@ -50,14 +52,16 @@ def intersecting_pairs(
 
 
 def _in_order(pairs: Int[np.ndarray, "p 2"]) -> Int[np.ndarray, "p 2"]:
-    """The same, ascending."""
+    """Sort pairs in ascending order."""
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))] if len(pairs) > 1 else pairs
 
 
 def meeting(
     one: Float[np.ndarray, "p 3 3"], other: Float[np.ndarray, "p 3 3"]
 ) -> Bool[np.ndarray, " p"]:
-    """Whether triangle i of one list meets triangle i of the other (touching counts).
+    """Test whether triangle i of one list meets triangle i of the other.
+
+    Touching counts as meeting.
 
     Triangles may be degenerate: segments and points.
 

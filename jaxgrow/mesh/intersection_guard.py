@@ -1,25 +1,24 @@
-"""Which operations leave the surface clear of itself and of the walls around it.
+"""Guard of mesh operations against crossing the surface or a wall.
 
 A flip or a collapse replaces a disc of old triangles by a new one with the same
-boundary. Two conditions are put to every triangle T near the new disc, of the surface
-(but for the old disc) or of the static walls:
+boundary. Two conditions are checked for every triangle T near the new disc, of the
+surface (except the old disc) or of the static walls:
 
-- *Crossing*: T may meet a new triangle only in the corners that they share. What is
-  left of two triangles besides them is disjoint if they share none; if they share one,
-  the side opposite to it of each misses the other; if they share two, they are not
-  folded onto each other (within the audit's `FOLD_DEGREES`). The new triangles of an
-  operation are put to each other likewise.
+- *Crossing*: T may meet a new triangle only in the corners that they share: with no
+  shared corner the two are disjoint; with one, the side opposite to it of each misses
+  the other; with two, they are not folded onto each other (within the audit's
+  `FOLD_DEGREES`). The same holds between the new triangles of an operation.
 - *Gap*: the exact distance of T to the new triangles that it faces (opposed normals,
   n · n' < 0) must be at least the smaller of its distance to the old disc and the
-  stated gap. That is the rule of the particles' clearance. Nothing is asked of
-  triangles beside each other in a sheet, which do not face each other, nor of those
-  that have a corner on the disc, which are at no distance from it before and after.
+  stated gap. That is the rule of the particles' clearance. It does not apply to
+  triangles beside each other in a sheet, which do not face each other, nor to those
+  that have a corner on the disc, whose distance from it is 0 before and after.
 
-Corners are shared if their coordinates are equal to the last bit. So the surface and
+Corners are shared if their coordinates are equal to the last bit, so the surface and
 the walls, which share its rim, need no common numbering.
 
-A surface that is free of crossings stays so. Where there are some already, an
-operation may have as many as its old triangles had, so that nothing is locked up.
+A surface that is free of crossings stays so. Where there are some already, an operation
+may have as many as its old triangles had, so that it is not blocked by them.
 
 Walls must be parts of surfaces that do not end near the patch: a loose triangle
 inside the volume between the old and the new disc would cross neither.
@@ -41,7 +40,7 @@ from jaxgrow.mesh.triangle_pair import distances, facing, overlapping, same_corn
 
 @dataclass(frozen=True, eq=False)
 class Crossing:
-    """Refuses operations that would make the surface cross itself or a wall.
+    """Guard against operations that make the surface cross itself or a wall.
 
     Attributes:
         surface: All triangles of the surface as it is.
@@ -62,7 +61,7 @@ class Crossing:
         walls: Float[np.ndarray, "w 3 3"] | None,
         gap: float,
     ) -> Crossing:
-        """The crossing test of a mesh, with walls or without."""
+        """Build the crossing test of a mesh, with walls or without."""
         none = np.zeros((0, 3, 3))
         return cls(vertices[faces], none if walls is None else walls, gap)
 
@@ -79,7 +78,7 @@ class Crossing:
     def walls_have_edge(
         self, ends: Float[np.ndarray, "k 2 3"]
     ) -> Bool[np.ndarray, " k"]:
-        """Whether a wall has an edge between these points already.
+        """Return whether a wall already has an edge between two points.
 
         A second one, of the surface, would be an edge of four triangles once surface
         and walls are joined.
@@ -92,7 +91,7 @@ class Crossing:
         return found
 
     def admits(self, patches: Patches) -> Bool[np.ndarray, " k"]:
-        """Whether each operation alone leaves the surface clear.
+        """Return whether each operation alone leaves the surface clear.
 
         Args:
             patches: Operations on the surface as it is.
@@ -109,7 +108,7 @@ class Crossing:
         if refused.any():
             refused &= after > self._crossings_before(patches, refused)
 
-        # What has a corner on the disc need not be measured: it stays at distance zero.
+        # Obstacles with a corner on the disc are skipped: they stay at distance zero.
         pair = near.pair
         beside = np.zeros(len(near.operation), dtype=bool)
         beside[pair[near.same.any(axis=(1, 2))]] = True
@@ -129,7 +128,7 @@ class Crossing:
         return ~refused
 
     def compatible(self, patches: Patches) -> Bool[np.ndarray, " k"]:
-        """Which operations can be done together: none that bars a better one.
+        """Select operations that can be done together, in order of rank.
 
         Args:
             patches: Operations that share no vertex and are admitted each, the best
@@ -170,13 +169,13 @@ class Crossing:
     def _nearer(
         self, after: Float[np.ndarray, " p"], before: Float[np.ndarray, " p"]
     ) -> Bool[np.ndarray, " p"]:
-        """Whether a distance under the gap has fallen, by more than rounding."""
+        """Return whether a distance under the gap has fallen beyond rounding."""
         return after < np.minimum(before, self.gap) - 1e-12 * (1.0 + self.gap)
 
     def _reach(
         self, low: Float[np.ndarray, "n 3"], high: Float[np.ndarray, "n 3"]
     ) -> Float[np.ndarray, "n 1"]:
-        """How far around a box something matters."""
+        """Return the margin around a box within which obstacles matter."""
         return self.gap + TOUCH * (high - low).max(axis=1, initial=0.0)[:, None]
 
     def _near(
@@ -185,7 +184,7 @@ class Crossing:
         owner: Int[np.ndarray, " t"],
         patches: Patches,
     ) -> _Near:
-        """Pairs of these triangles and obstacles that are near, but for old ones."""
+        """Find near pairs of these triangles and obstacles, except old faces."""
         low, high = _boxes_by_owner(triangles, owner, len(patches.apex))
         reach = self._reach(low, high)
         operation, obstacle = _overlapping_boxes(low - reach, high + reach, *self.boxes)
@@ -211,7 +210,7 @@ class Crossing:
     def _crossings_before(
         self, patches: Patches, chosen: Bool[np.ndarray, " k"]
     ) -> Float[np.ndarray, " k"]:
-        """How many crossings the old triangles of the chosen operations have."""
+        """Count the crossings of the old triangles of chosen operations."""
         part = chosen[patches.old_owner]
         triangles, owner = patches.old[part], patches.old_owner[part]
         near = self._near(triangles, owner, patches)
@@ -220,12 +219,12 @@ class Crossing:
 
 @dataclass(frozen=True, eq=False)
 class _Near:
-    """Pairs of an operation and an obstacle, and of a triangle of it and the obstacle.
+    """Near pairs of operation and obstacle, and of their triangles.
 
     Attributes:
         operation: The operation of each pair.
         obstacle: The obstacle of each pair.
-        pair: Which of those each pair of triangles belongs to.
+        pair: Index of the above pair that each pair of triangles belongs to.
         one: The triangle of the operation.
         other: The obstacle.
         same: Whether corner i of the one is corner j of the other.
@@ -245,7 +244,7 @@ def _count_crossings(
     near: _Near,
     n_operations: int,
 ) -> Float[np.ndarray, " k"]:
-    """Crossings of each operation's triangles with what is near and each other."""
+    """Count each operation's crossings, with obstacles and within itself."""
     lists = group(owner, np.arange(len(owner)), n_operations)
     first, second = lists.rows(owner)
     once = first < second
@@ -263,7 +262,7 @@ def _count_crossings(
 def _boxes(
     triangles: Float[np.ndarray, "n 3 3"],
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-    """Lower and upper corners of the boxes around triangles."""
+    """Return lower and upper corners of the boxes around triangles."""
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
@@ -271,7 +270,7 @@ def _boxes(
 def _boxes_by_owner(
     triangles: Float[np.ndarray, "t 3 3"], owner: Int[np.ndarray, " t"], count: int
 ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
-    """Boxes around the triangles of each owner; empty ones where there is none."""
+    """Return the box around the triangles of each owner; empty for none."""
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
     least, most = _boxes(triangles)
     np.minimum.at(low, owner, least)
@@ -285,10 +284,10 @@ def _overlapping_boxes(
     other_low: Float[np.ndarray, "o 3"],
     other_high: Float[np.ndarray, "o 3"],
 ) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
-    """All pairs of a box of one list and a box of the other that overlap.
+    """Find all overlapping pairs of boxes of two lists (sweep along an axis).
 
-    Few operations against a few thousand triangles: a sweep along one axis costs less
-    than building a tree would. What is near no operation is left out first.
+    For few operations and a few thousand triangles a sweep along one axis costs less
+    than building a tree. Triangles near no operation are left out first.
     """
     least, most = low.min(axis=0, initial=np.inf), high.max(axis=0, initial=-np.inf)
     some = np.flatnonzero(((other_low <= most) & (other_high >= least)).all(axis=1))
@@ -309,7 +308,7 @@ def _overlapping_boxes(
 def _products(
     lists: Incidence, first: Int[np.ndarray, " k"], second: Int[np.ndarray, " k"]
 ) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
-    """All pairs of an item of one row and one of another: which pair, and the two."""
+    """List all pairs of an item of one row and one of another, with row pair."""
     row, a = lists.rows(first)
     again, b = lists.rows(second[row])
     return row[again], a[again], b

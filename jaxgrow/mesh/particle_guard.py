@@ -1,19 +1,18 @@
-"""Which operations leave every particle on its side of the surface.
+"""Guard of mesh operations against sweeping over a particle.
 
 A flip or a collapse replaces a disc of old triangles by new ones with the same
 boundary. If the new triangles are the cone from an apex p over that boundary (a
-collapse to p; a flip, with p an opposite vertex), the volume between old and new is,
-as a chain, the sum of the tetrahedra cone(p, t) over the old triangles t. A particle
-in none of them keeps its winding number. That is the test, and it errs on the safe
-side.
+collapse to p; a flip, with p an opposite vertex), the volume between old and new is, as
+a chain, the sum of the tetrahedra cone(p, t) over the old triangles t. A particle in
+none of them keeps its winding number. That is the test; it is conservative.
 
-Besides, no particle may lose clearance: its distance to the new triangles must be at
-least the smaller of its distance to the old ones and the stated clearance.
+In addition, no particle may lose clearance: its distance to the new triangles must be
+at least the smaller of its distance to the old ones and the stated clearance.
 
 Vertices of the surface itself are obstacles as well (strictly inside a swept
 tetrahedron only), so that no sheet of a fold is swept over a vertex of another one.
-Whether sheets cross, edge through edge too, is `jaxgrow.mesh.intersection_guard`'s
-question.
+Crossings of sheets, including edge through edge, are tested by
+`jaxgrow.mesh.intersection_guard`.
 """
 
 from __future__ import annotations
@@ -31,14 +30,14 @@ from jaxgrow.mesh.topology import group, Incidence
 
 @dataclass(frozen=True, eq=False)
 class Patches:
-    """Small pieces of surface before and after a proposed operation each.
+    """Pieces of surface before and after proposed operations.
 
     Attributes:
         old: Old triangles of all operations.
         old_owner: The operation of each, ascending, every operation at least one.
-        old_face: Which face of the surface each is.
+        old_face: Index of each in the surface's faces.
         new: New triangles.
-        new_owner: The operation of each, likewise.
+        new_owner: The operation of each, ascending, every operation at least one.
         apex: The point over which the new triangles form a cone.
     """
 
@@ -52,7 +51,7 @@ class Patches:
 
 @dataclass(frozen=True, eq=False)
 class Guard:
-    """Refuses operations that would harm a particle.
+    """Guard against operations that harm a particle.
 
     Attributes:
         particles: Live particles.
@@ -67,11 +66,11 @@ class Guard:
 
     @cached_property
     def tree(self) -> KDTree:
-        """All obstacles, particles first. Built only if there is something to ask."""
+        """Tree of all obstacles, particles first; built at the first query."""
         return KDTree(np.concatenate([self.particles, self.vertices]))
 
     def admits(self, patches: Patches) -> Bool[np.ndarray, " k"]:
-        """Whether each operation is harmless."""
+        """Return whether each operation spares all particles."""
         n_operations = len(patches.apex)
         if not n_operations:
             return np.ones(0, dtype=bool)
@@ -103,8 +102,8 @@ class Guard:
         after = _nearest(position, owner, patches.new, new)
         near = after < self.clearance
         before = _nearest(position[near], owner[near], patches.old, old)
-        # Rounding of the distance itself; the floor cannot creep down by it within any
-        # number of operations that matters.
+        # Rounding of the distance itself, too small to accumulate over any realistic
+        # number of operations.
         lost = after[near] < before - 1e-12 * (1.0 + self.clearance)
         refused = np.zeros(n_operations, dtype=bool)
         refused[harmed] = True
@@ -118,7 +117,7 @@ def _nearest(
     triangles: Float[np.ndarray, "t 3 3"],
     lists: Incidence,
 ) -> Float[np.ndarray, " p"]:
-    """Distance of each point to the triangles of its operation."""
+    """Return the distance of each point to the triangles of its operation."""
     if not len(points):
         return np.zeros(0)
     row, triangle = lists.rows(owner)
@@ -134,7 +133,7 @@ def _swept(
     patches: Patches,
     lists: Incidence,
 ) -> Int[np.ndarray, " h"]:
-    """Operations whose swept volume holds one of their points.
+    """Find operations whose swept volume holds one of their points.
 
     Args:
         points: Positions.
@@ -169,7 +168,7 @@ def _determinant(
     b: Float[np.ndarray, "n 3"],
     c: Float[np.ndarray, "n 3"],
 ) -> Float[np.ndarray, " n"]:
-    """Triple product a · (b × c)."""
+    """Return the triple product a · (b × c)."""
     (ax, ay, az), (bx, by, bz), (cx, cy, cz) = a.T, b.T, c.T
     return (
         ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)

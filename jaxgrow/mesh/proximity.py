@@ -13,11 +13,11 @@ from jaxgrow import kernels
 def closest_on_triangles(
     points: Float[np.ndarray, "n 3"], triangles: Float[np.ndarray, "n 3 3"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
-    """Distance of point i to triangle i, and where on the triangle it is reached.
+    """Compute the distance of point i to triangle i, and the closest point.
 
-    The foot of the perpendicular, where it falls inside; otherwise the nearest of
-    the three sides. So every Voronoi region is covered, and degenerate triangles
-    (segments, points) are too: their interior is never asked.
+    The foot of the perpendicular, where it falls inside; otherwise the nearest of the
+    three sides. This covers every Voronoi region, and degenerate triangles (segments,
+    points) too, as their interior is not used.
 
     Args:
         points: Positions.
@@ -32,12 +32,12 @@ def closest_on_triangles(
 
 
 class Nearest(NamedTuple):
-    """Where each point is nearest to a mesh.
+    """Nearest point of a mesh for each query point.
 
     Attributes:
         distance: Exact distance.
-        face: The face where it is reached; of equally near ones (a closest point on an
-            edge) any one.
+        face: The face where it is reached; any one of equally near faces (a closest
+            point on an edge).
         closest: The closest point.
     """
 
@@ -47,9 +47,9 @@ class Nearest(NamedTuple):
 
 
 class Proximity:
-    """A mesh made ready to be asked for its nearest points again and again.
+    """Bounding volume tree of a mesh, for repeated nearest-point queries.
 
-    It is a tree of boxes, see `jaxgrow.kernels.nearest`.
+    The tree is one of boxes, see `jaxgrow.kernels.nearest`.
     """
 
     def __init__(
@@ -68,20 +68,20 @@ class Proximity:
             raise ValueError(
                 "the mesh has no face; a distance to nothing is undefined."
             )
-        # of one kind, as loops are compiled anew for every other
+        # one dtype and layout, as loops are compiled for each
         self._vertices = np.require(vertices, float, ["C", "W"])
         self._faces = np.require(faces, np.int64, ["C", "W"])
         self._tree = kernels.loops("nearest").plant(self._vertices, self._faces)
 
     def nearest(self, points: Float[np.ndarray, "n 3"]) -> Nearest:
-        """Distances, faces and closest points, in the mesh's unit of length."""
+        """Find distances, faces and closest points, in the mesh's unit."""
         distance, face, weights = self.feet(points)
         return Nearest(distance, face, self.at(face, weights))
 
     def at(
         self, face: Int[np.ndarray, " n"], weights: Float[np.ndarray, "n 3"]
     ) -> Float[np.ndarray, "n 3"]:
-        """Points on faces, by the weights of the corners."""
+        """Return the points on faces with the given barycentric weights."""
         return np.einsum("nk,nki->ni", weights, self._vertices[self._faces[face]])
 
     def feet(
@@ -89,7 +89,7 @@ class Proximity:
     ) -> tuple[
         Float[np.ndarray, " n"], Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]
     ]:
-        """Distances, faces, and the weights of their corners in the closest points."""
+        """Find distances, faces, and barycentric weights of the closest points."""
         points, loops = np.require(points, float, ["C", "W"]), kernels.loops("nearest")
         return loops.find(points, self._vertices, self._faces, *self._tree)
 
@@ -99,9 +99,9 @@ def nearest_on_mesh(
     vertices: Float[np.ndarray, "m 3"],
     faces: Int[np.ndarray, "f 3"],
 ) -> Nearest:
-    """Exact distance to a mesh, the face where it is reached, and the closest point.
+    """Find the exact distance to a mesh, with its face and closest point.
 
-    For a mesh that is asked again, keep a `Proximity`.
+    For repeated queries of a mesh, keep a `Proximity`.
 
     Args:
         points: Positions.
@@ -120,7 +120,7 @@ def nearest_on_mesh(
 def closest_on_segments(
     first: Float[np.ndarray, "n 2 3"], second: Float[np.ndarray, "n 2 3"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Distance of segment i of one list to segment i of the other.
+    """Compute the distance of segment i of one list to i of the other.
 
     The common perpendicular, where both of its feet fall inside; otherwise the nearest
     of the four distances of an end to the other segment.

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 
 def area_vectors(triangles: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
-    """Half the cross product of two sides: normal direction times area (length²)."""
+    """Return half the cross product of two sides: unit normal times area."""
     a, b, c = triangles[:, 0].T, triangles[:, 1].T, triangles[:, 2].T
     ux, uy, uz = b - a
     vx, vy, vz = c - a
@@ -17,32 +17,32 @@ def area_vectors(triangles: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 
 
 
 def areas(triangles: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, " n"]:
-    """Triangle areas (length²)."""
+    """Return the triangle areas (length²)."""
     return lengths(area_vectors(triangles))
 
 
 def lengths(vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n"]:
-    """Euclidean lengths."""
+    """Return the Euclidean lengths."""
     return np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
 
 
 def unit(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """Vectors of length one; the zero vector stays zero."""
+    """Normalise vectors to length 1; the zero vector stays zero."""
     length = lengths(vectors)
     return vectors / np.where(length > 0, length, 1.0)[:, None]
 
 
 def side_lengths(triangles: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
-    """Length of the side from corner k to corner k + 1."""
+    """Return the length of the side from corner k to corner k + 1."""
     return lengths(triangles[:, [1, 2, 0]] - triangles)
 
 
 def radius_ratio(triangles: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, " n"]:
-    """Shape quality 2 r_in / r_circ = 16 A² / (abc (a + b + c)), dimensionless.
+    """Return the shape quality 2 r_in / r_circ, dimensionless.
 
-    1 for the equilateral triangle, its only stationary value, and 0 for a degenerate
-    one. The paper (section 4, after Pébay and Baker) uses r_in / r_circ, half of
-    this; no comparison changes.
+    It is 16 A² / (abc (a + b + c)): 1 for the equilateral triangle, its only stationary
+    value, and 0 for a degenerate one. The paper (section 4, after Pébay and Baker) uses
+    r_in / r_circ, half of this; no comparison changes.
     """
     side = side_lengths(triangles)
     vector = area_vectors(triangles)

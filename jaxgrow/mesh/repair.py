@@ -1,19 +1,19 @@
 """Repair of pleats and slivers, which the paper's phases cannot undo.
 
-A *pleat* is a vertex whose fan of triangles has folded over, a *sliver* a triangle
-that is nearly a segment. Both arise where the membrane is compressed, near the base of
-a growing polyp. Neither a swap nor a collapse may touch them, because triangles would
-turn, and because the valences there have dropped to three. Where they stay, the
-energy has a kink, and folds lead on to self-intersections.
+A *pleat* is a vertex whose fan of triangles has folded over, a *sliver* a triangle that
+is nearly a segment. Both arise where the membrane is compressed, near the base of a
+growing polyp. Neither a swap nor a collapse may touch them, because triangles would
+turn, and because the valences there have dropped to three. If they stay, the energy has
+a kink, and folds lead to self-intersections.
 
 The paper leaves all of this open. Our choice:
 
 - *Defect*: an edge with a crease beyond ``CREASE`` counts n·n' / cos ``CREASE`` − 1
-  with the two normals, a triangle with a radius ratio ρ under ``SLIVER`` counts
-  1 − ρ / ``SLIVER``; so 1 each at worst. A surface without defects is left alone.
+  with the two normals, a triangle with a radius ratio ρ under ``SLIVER`` counts 1 − ρ /
+  ``SLIVER``; each is at most 1. A surface without defects is not changed.
 - *Moves*: the edges of defective triangles are flipped, or collapsed to either end or
-  to the middle, one at a time. The one that lessens the sum of defects most comes
-  first; the sum falls by at least ``GAIN`` each time, so this ends.
+  to the middle, one at a time. The one that reduces the sum of defects most comes
+  first; the sum falls by at least ``GAIN`` each time, so the process terminates.
 - *Never worse*: neither the sharpest crease nor the worst radius ratio of the triangles
   concerned and the edges around them may get worse than it was, unless it stays
   within 90 degrees or above ``FAIR_SHAPE``.
@@ -80,12 +80,14 @@ def repair(
         particles: Live particles, which must keep their side.
         max_area: No repair may make a triangle larger than this (length²), unless one
             of those it replaces was; it bounds the swept volume too.
-        max_edge: Nor an edge longer than this (length), likewise.
+        max_edge: No repair may make an edge longer than this (length), unless one of
+            those it replaces was.
         walls: Static triangles that the surface must not cross, oriented as it is;
             None for none.
         clearance: See `Guard` (length).
         gap: See `Crossing` (length).
-        max_repairs: Bound on the number; what is left then waits for the next call.
+        max_repairs: Bound on the number; the remaining defects are left to the next
+            call.
 
     Returns:
         The surface and the remeshing that leads to it, with counts: "repaired", and of
@@ -120,11 +122,11 @@ def repair(
 
 @dataclass(frozen=True, eq=False)
 class _Pieces:
-    """Triangles that moves take away, or put in their place, move after move.
+    """Triangles that moves remove or add, move after move.
 
     Attributes:
         owner: The move of each triangle, ascending.
-        face: Which face of the surface it is, -1 for one that comes.
+        face: Its index in the surface's faces, -1 for an added one.
         corners: Its vertices.
         triangles: Their positions.
     """
@@ -135,7 +137,7 @@ class _Pieces:
     triangles: Float[np.ndarray, "t 3 3"]
 
     def select(self, chosen: Int[np.ndarray, " k"], count: int) -> _Pieces:
-        """Those of the chosen ones of so many moves, in the order chosen."""
+        """Return the pieces of the chosen ones of `count` moves, in that order."""
         rows = group(self.owner, np.arange(len(self.owner)), count)
         owner, row = rows.rows(chosen)
         return _Pieces(owner, self.face[row], self.corners[row], self.triangles[row])
@@ -143,15 +145,15 @@ class _Pieces:
 
 @dataclass(frozen=True, eq=False)
 class _Moves:
-    """Possible repairs.
+    """Candidate repairs.
 
     Attributes:
         edge: The edge that each flips or collapses.
         flip: Whether it flips it.
-        merging: What becomes of its ends in a collapse.
+        merging: Which of its ends stays in a collapse, and where.
         apex: The new triangles are a cone from here.
-        old: What goes.
-        new: What comes.
+        old: Triangles that are removed.
+        new: Triangles that are added.
     """
 
     edge: Int[np.ndarray, " k"]
@@ -162,7 +164,7 @@ class _Moves:
     new: _Pieces
 
     def select(self, chosen: Int[np.ndarray, " s"]) -> _Moves:
-        """The chosen ones, in that order."""
+        """Return the chosen moves, in that order."""
         count = len(self.edge)
         return _Moves(
             self.edge[chosen],
@@ -174,7 +176,7 @@ class _Moves:
         )
 
     def patches(self) -> Patches:
-        """The surface before and after each move."""
+        """Return the surface before and after each move."""
         old, new = self.old, self.new
         return Patches(
             old.triangles, old.owner, old.face, new.triangles, new.owner, self.apex
@@ -182,7 +184,7 @@ class _Moves:
 
 
 def _defective(surface: Surface, topology: Topology) -> Int[np.ndarray, " k"]:
-    """All edges of slivers and of the triangles at a sharp crease."""
+    """Find all edges of slivers and of the triangles at a sharp crease."""
     triangles = surface.vertices[surface.faces]
     bad = radius_ratio(triangles) < SLIVER
     normal = unit(area_vectors(triangles))
@@ -196,7 +198,7 @@ def _defective(surface: Surface, topology: Topology) -> Int[np.ndarray, " k"]:
 def _moves(
     surface: Surface, topology: Topology, edges: Int[np.ndarray, " e"]
 ) -> _Moves:
-    """All flips and collapses of the edges that leave a manifold and what is kept."""
+    """List the flips and collapses that keep a manifold and fixed vertices."""
     corners = np.concatenate([topology.edges, topology.opposite], axis=1)[edges]
     valence = topology.valence[corners]
     kept = (surface.kept | topology.rim_vertices)[corners]
@@ -227,7 +229,7 @@ def _moves(
     vertices = surface.vertices
 
     def both(one: tuple[Any, ...], other: tuple[Any, ...], face: Any) -> _Pieces:
-        """Two triangles for each flip."""
+        """Build the two triangles of each flip."""
         faces = np.stack([*one, *other], axis=1).reshape(-1, 3)
         return _Pieces(owner, face, faces, vertices[faces])
 
@@ -259,7 +261,7 @@ def _moves(
 
 
 def _joined(one: _Pieces, other: _Pieces) -> _Pieces:
-    """The pieces of one, then those of the other."""
+    """Concatenate two lists of pieces."""
     return _Pieces(
         np.concatenate([one.owner, other.owner]),
         np.concatenate([one.face, other.face]),
@@ -274,7 +276,7 @@ def _improving(
     max_area: float,
     max_edge: float,
 ) -> Int[np.ndarray, " k"]:
-    """Moves that are worth it and make nothing worse, the best first."""
+    """Select the moves that gain enough and make nothing worse, best first."""
     count = len(moves.edge)
     before = _state(surface, moves.old, count)
     after = _state(surface, moves.new, count)
@@ -295,10 +297,10 @@ def _improving(
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """What a repair is judged by, for every move.
+    """Quality of the triangles of every move.
 
     Attributes:
-        defects: Sum over the triangles and their edges.
+        defects: Sum of defects over the triangles and their edges.
         cosine: Least scalar product of the normals at an edge.
         ratio: Least radius ratio.
         area: Largest area.
@@ -313,7 +315,7 @@ class _State:
 
 
 def _state(surface: Surface, pieces: _Pieces, count: int) -> _State:
-    """Judge the triangles of each move, and the edges in and around them."""
+    """Measure the triangles of each move, and the edges in and around them."""
     vector, ratio = area_vectors(pieces.triangles), radius_ratio(pieces.triangles)
     normal = unit(vector)
     outside = unit(area_vectors(surface.vertices[surface.faces]))
@@ -352,8 +354,8 @@ def _state(surface: Surface, pieces: _Pieces, count: int) -> _State:
 
 
 def _first_clear(moves: _Moves, crossing: Crossing) -> int:
-    """The first move that crosses nothing, -1 for none."""
-    # Most often it is the very first; all at once is cheaper than one by one.
+    """Return the first move that crosses nothing, -1 for none."""
+    # Usually the first one is; testing the rest at once is cheaper than one by one.
     everything = np.arange(len(moves.edge))
     for part in (everything[:1], everything[1:]):
         clear = crossing.admits(moves.select(part).patches())
@@ -365,7 +367,7 @@ def _first_clear(moves: _Moves, crossing: Crossing) -> int:
 def _perform(
     surface: Surface, topology: Topology, moves: _Moves, move: int
 ) -> tuple[Surface, Remeshing]:
-    """Do one move."""
+    """Apply one move."""
     if not moves.flip[move]:
         chosen = np.array([move])
         merging = moves.merging.select(chosen)

@@ -13,8 +13,8 @@ What the paper leaves open, and our choice:
 - *The diagonal of the A-shape*: the one with the larger sum of radius ratios.
 - *Long thin triangles* below the area bound: an edge longer than ``max_edge`` is split
   too (T-shape on both sides) if no side of its two triangles is longer. The latter is
-  Rivara's condition for termination, and keeps a long rim edge from shedding slivers
-  for ever.
+  Rivara's condition for termination, and keeps a long rim edge from creating slivers
+  without end.
 - *How often.* The paper subdivides once an iteration. `subdivide` is that one pass;
   `subdivide_all` repeats it until the bound holds.
 
@@ -68,11 +68,12 @@ def subdivide(
 def subdivide_all(
     surface: Surface, max_area: float, max_edge: float = np.inf
 ) -> tuple[Surface, Remeshing]:
-    """Repeat `subdivide` until no triangle with an edge off the rim is over the bound.
+    """Repeat `subdivide` until no interior triangle is over the bound.
 
-    Each pass at least halves the area of a triangle over the bound, so it takes no more
-    than ceil(log2(largest area / max_area)) passes for the area. Edges over the length
-    bound are given as many passes and one more.
+    An interior triangle has an edge off the rim. Each pass at least halves the area of
+    a triangle over the bound, so it takes no more than ceil(log2(largest area /
+    max_area)) passes for the area. Edges over the length bound are given as many passes
+    and one more.
 
     Args:
         surface: An oriented manifold with or without rim.
@@ -97,7 +98,7 @@ def subdivide_all(
 def split_edges(
     surface: Surface, topology: Topology, marked: Bool[np.ndarray, " e"]
 ) -> tuple[Surface, Remeshing]:
-    """Put a vertex into the middle of the marked edges and split the faces at them.
+    """Split the marked edges at their middle, and the faces at them.
 
     Args:
         surface: The surface.
@@ -143,7 +144,10 @@ def _turn(
     *,
     lead: bool,
 ) -> tuple[Int[np.ndarray, "k 3"], Int[np.ndarray, "k 3"]]:
-    """Turn the chosen faces: first the only edge with (lead) or without a middle."""
+    """Rotate the chosen faces so that the edge that differs comes first.
+
+    It is the only edge with (lead) or without a middle.
+    """
     corners, new = corners[chosen], new[chosen]
     first = np.argmax((new >= 0) == lead, axis=1)
     turn = (first[:, None] + np.arange(3)) % 3
@@ -153,7 +157,7 @@ def _turn(
 def _quaternary(
     corners: Int[np.ndarray, "f 3"], new: Int[np.ndarray, "f 3"]
 ) -> Int[np.ndarray, "_ 3"]:
-    """Three corner triangles and the middle one."""
+    """Split each face into three corner triangles and the middle one."""
     (a, b, c), (ab, bc, ca) = corners.T, new.T
     parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
     return np.concatenate([np.stack(part, axis=1) for part in parts])
@@ -162,7 +166,7 @@ def _quaternary(
 def _t_shape(
     corners: Int[np.ndarray, "f 3"], new: Int[np.ndarray, "f 3"]
 ) -> Int[np.ndarray, "_ 3"]:
-    """Edge (a, b) is split: two triangles."""
+    """Split each face at its edge (a, b) into two triangles."""
     (a, b, c), ab = corners.T, new[:, 0]
     return np.concatenate([np.stack([a, ab, c], 1), np.stack([ab, b, c], 1)])
 
@@ -172,7 +176,10 @@ def _a_shape(
     corners: Int[np.ndarray, "f 3"],
     new: Int[np.ndarray, "f 3"],
 ) -> Int[np.ndarray, "_ 3"]:
-    """Edges (b, c) and (c, a) are split: the tip at c, and the quad with a diagonal."""
+    """Split each face at (b, c) and (c, a): the tip at c, and a quad.
+
+    The quad is cut by the better of its diagonals.
+    """
     (a, b, c), (_, bc, ca) = corners.T, new.T
     tip = np.stack([ca, bc, c], axis=1)
     one = np.stack([a, b, bc], 1), np.stack([a, bc, ca], 1)
@@ -186,7 +193,7 @@ def _a_shape(
 def _long_edges(
     topology: Topology, sides: Float[np.ndarray, "f 3"], max_edge: float
 ) -> Bool[np.ndarray, " e"]:
-    """Edges over the bound that are the longest side of both their triangles."""
+    """Mark edges over the bound that are the longest side of both triangles."""
     longest = (sides > max_edge) & (sides >= sides.max(axis=1)[:, None] * (1 - 1e-12))
     votes = np.bincount(topology.face_edges[longest], minlength=len(topology.edges))
     return votes == 2

@@ -1,4 +1,4 @@
-"""The live surface on the host, and what a fairing did to it, as data."""
+"""Live surface on the host, and its remeshing as data."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 @runtime_checkable
 class Indexable(Protocol):
-    """Any array that is indexed by integer arrays, as those of numpy and jax are."""
+    """Array that is indexed by integer arrays, of NumPy or JAX."""
 
     def __getitem__(self, index: Any, /) -> Any:
         """Rows of the array."""
@@ -22,7 +22,7 @@ Positions = TypeVar("Positions", bound=Indexable)
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """An oriented triangle mesh, open at its pinned rim.
+    """Oriented triangle mesh, open at its pinned rim.
 
     Attributes:
         vertices: Positions, any one unit of length (r0 in the simulation).
@@ -72,7 +72,9 @@ class Surface:
 
 
 def average_parents(vertices: Positions, parents: Indexable) -> Positions:
-    """Positions after one map: ``new[i] = (old[p[i, 0]] + old[p[i, 1]]) / 2``.
+    """Return positions after one map: the middle of each vertex's parents.
+
+    ``new[i] = (old[p[i, 0]] + old[p[i, 1]]) / 2``.
 
     A vertex that is its own two parents keeps its coordinates exactly, since
     (x + x) / 2 is x in binary floating point.
@@ -90,18 +92,17 @@ def average_parents(vertices: Positions, parents: Indexable) -> Positions:
 
 @dataclass(frozen=True, eq=False)
 class Remeshing:
-    """What mesh operations did, as data that can be replayed on other positions.
+    """Record of mesh operations, which can be replayed on other positions.
 
-    All that fairing does to positions is linear: a new vertex is the middle of two
-    old ones, or one old one. So a recorded remeshing carries derivatives too.
+    Fairing acts linearly on positions: a new vertex is the middle of two old ones, or
+    one old one. So a recorded remeshing carries derivatives too.
 
     Attributes:
         parents: Consecutive maps, see `average_parents`.
         faces: Faces of the resulting surface.
         fixed: Its fixed vertices.
         source: Its source vertex, -1 for none.
-        counts: How many operations of which kind were done, and how many of the
-            wanted ones were refused for which reason.
+        counts: Number of operations done, by kind, and of those refused, by reason.
     """
 
     parents: tuple[Int[np.ndarray, "_ 2"], ...]
@@ -114,11 +115,11 @@ class Remeshing:
     def unchanged(
         cls, surface: Surface, counts: dict[str, int] | None = None
     ) -> Remeshing:
-        """The remeshing that leads to this surface's connectivity without a move."""
+        """Return the remeshing to this surface's connectivity without a move."""
         return cls((), surface.faces, surface.fixed, surface.source, counts or {})
 
     def apply(self, vertices: Positions) -> Positions:
-        """Positions of the new vertices, given those of the old ones.
+        """Compute positions of the new vertices from those of the old ones.
 
         Args:
             vertices: (m_old, 3), of any array type with indexing and arithmetic.
@@ -132,7 +133,7 @@ class Remeshing:
         return vertices
 
     def origin(self) -> Int[np.ndarray, " m"]:
-        """Index of the old vertex that each new vertex *is*, or -1 for a new one."""
+        """Return the index of the old vertex that each new one is, or -1."""
         index = np.arange(len(self.fixed))
         same = np.ones(len(index), dtype=bool)
         for parents in reversed(self.parents):
@@ -142,7 +143,7 @@ class Remeshing:
         return np.where(same, index, -1)
 
     def then(self, later: Remeshing) -> Remeshing:
-        """This remeshing followed by a later one; counts of operations add up."""
+        """Compose this remeshing with a later one; counts add up."""
         names = [*self.counts, *(n for n in later.counts if n not in self.counts)]
         return Remeshing(
             parents=self.parents + later.parents,

@@ -5,8 +5,8 @@ The common edge of two triangles is flipped if the sum of their radius ratios gr
 What the paper leaves open, and our choice:
 
 - *Order*: the largest gain first. Flips that share no vertex with a better one are done
-  together, then all gains are computed anew, until none is left. The sum over the mesh
-  grows strictly with every flip, so this ends.
+  together, then all gains are recomputed, until none is left. The sum over the mesh
+  grows strictly with every flip, so the process terminates.
 - *Equal sums*: a gain below a small margin is none.
 - *Refused* are rim edges; an edge that exists already, on the surface or on a wall (the
   result would not be a manifold); an end that would be left with fewer than three
@@ -14,12 +14,12 @@ What the paper leaves open, and our choice:
   `jaxgrow.mesh.particle_guard`); and one that makes the surface cross itself or a wall
   (see `jaxgrow.mesh.intersection_guard`). Of two flips of a round that would cross each
   other, the better one is done.
-- *What changes the shape*: a dihedral turn of more than ``max_angle`` between the old
-  triangles, unless one of them is a cap so flat that the surface moves by less than
-  ``FLAT`` of the edge (its normal says nothing then); a turn of more than ``max_angle``
-  between the new triangles (the sum of the area vectors stays, so none of them turns
-  over either); and a crease of more than 90 degrees to a triangle next to the two,
-  where there was none as sharp.
+- *Shape*: a flip is refused for a dihedral turn of more than ``max_angle`` between the
+  old triangles, unless one of them is a cap so flat that the surface moves by less than
+  ``FLAT`` of the edge (its normal is meaningless then); a turn of more than
+  ``max_angle`` between the new triangles (the sum of the area vectors stays, so none of
+  them turns over either); and a crease of more than 90 degrees to a triangle next to
+  the two, where there was none as sharp.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def swap(
     margin: float = 1e-6,
     max_rounds: int = 50,
 ) -> tuple[Surface, Remeshing]:
-    """Flip edges as long as that improves the triangles.
+    """Flip edges while that improves the triangles.
 
     Args:
         surface: An oriented manifold with or without rim.
@@ -61,7 +61,7 @@ def swap(
         max_angle: Largest turn between triangles that a flip may smooth away or
             leave behind (radians).
         margin: Relative gain below which nothing is flipped.
-        max_rounds: Bound on the rounds; what is left then waits for the next call.
+        max_rounds: Bound on the rounds; the remaining edges are left to the next call.
 
     Returns:
         The surface with other faces and the same vertices, and a remeshing with counts:
@@ -108,7 +108,10 @@ def _wanted(
     max_angle: float,
     margin: float,
 ) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, "k 4"], dict[str, int]]:
-    """Edges to flip, best first; the ends a, b and opposite vertices c, d; refusals."""
+    """Select the edges to flip, best first, with their corners and refusals.
+
+    The corners are the ends a, b and the opposite vertices c, d.
+    """
     vertices, faces = surface.vertices, surface.faces
     inner = np.flatnonzero(topology.interior)
     corners = np.concatenate([topology.edges, topology.opposite], axis=1)[inner]
@@ -123,7 +126,7 @@ def _wanted(
     refused: dict[str, int] = {}
 
     def keep(good: Bool[np.ndarray, " k"], reason: str) -> None:
-        """Go on with the good ones and count the others."""
+        """Keep the good ones and count the others."""
         nonlocal inner, corners, gain
         refused[f"swap_refused_{reason}"] = int(np.count_nonzero(~good))
         inner, corners, gain = inner[good], corners[good], gain[good]
@@ -146,7 +149,7 @@ def _patches(
     edges: Int[np.ndarray, " k"],
     corners: Int[np.ndarray, "k 4"],
 ) -> Patches:
-    """The surface before and after each flip."""
+    """Return the surface before and after each flip."""
     a, b, c, d = vertices[corners].transpose(1, 0, 2)
     owner = np.repeat(np.arange(len(corners)), 2)
     old = np.stack([a, b, c, b, a, d], axis=1).reshape(-1, 3, 3)
@@ -162,7 +165,7 @@ def _keeps_shape(
     corners: Int[np.ndarray, "k 4"],
     max_angle: float,
 ) -> Bool[np.ndarray, " k"]:
-    """Whether each flip leaves the surface about where it is; see the module."""
+    """Return whether each flip preserves the shape; see the module."""
     bound = np.cos(max_angle)
     a, b, c, d = vertices[corners].transpose(1, 0, 2)
     old = area_vectors(np.stack([a, b, c], 1)), area_vectors(np.stack([b, a, d], 1))
@@ -189,5 +192,5 @@ def _keeps_shape(
 def _dot(
     a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, " n"]:
-    """Scalar products."""
+    """Return the scalar product of each pair of rows."""
     return np.einsum("ni,ni->n", a, b)

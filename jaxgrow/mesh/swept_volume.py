@@ -1,4 +1,4 @@
-"""Points in the volume that a surface swept over while it was remeshed."""
+"""Points in the volume that a remeshed surface swept over."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jaxgrow.mesh.winding import winding_number
 def swept_points(
     before: Surface, after: Surface, points: Float[np.ndarray, "n 3"]
 ) -> Bool[np.ndarray, " n"]:
-    """Points that are on another side of the one surface than of the other.
+    """Mark the points on different sides of two surfaces with the same rim.
 
     The surface after, with the one before turned over, is a closed chain as long as
     both have the same rim. A point keeps its side exactly if that chain does not wind
@@ -24,7 +24,7 @@ def swept_points(
         points: Positions in the same unit.
 
     Returns:
-        True for points that changed sides, or that one of the surfaces now touches.
+        True for points that changed sides, or that one of the surfaces touches.
     """
     old, new = before.vertices[before.faces], after.vertices[after.faces]
     gone, come = ~_among(old, new), ~_among(new, old)
@@ -44,15 +44,15 @@ def swept_points(
 def _among(
     triangles: Float[np.ndarray, "t 3 3"], others: Float[np.ndarray, "u 3 3"]
 ) -> Bool[np.ndarray, " t"]:
-    """Whether each triangle is one of the others, bit for bit, whatever corner first.
+    """Return whether each triangle is one of the others, bit for bit.
 
-    Remeshing may number the corners of an untouched triangle from another one.
+    The first corner may differ, as remeshing may rotate an untouched triangle.
     """
     return np.isin(_key(triangles), _key(others))
 
 
 def _key(triangles: Float[np.ndarray, "t 3 3"]) -> np.ndarray:
-    """The triangles' bytes, starting at the corner that comes first in order."""
+    """Return each triangle's bytes, from its lexicographically first corner."""
     order = np.lexsort(
         (triangles[..., 2], triangles[..., 1], triangles[..., 0]), axis=-1
     )

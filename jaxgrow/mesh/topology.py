@@ -44,7 +44,7 @@ class Topology:
     def has_edge(
         self, first: Int[np.ndarray, " k"], second: Int[np.ndarray, " k"]
     ) -> Bool[np.ndarray, " k"]:
-        """Whether each pair of vertices is joined by an edge."""
+        """Return whether each pair of vertices is joined by an edge."""
         count = len(self.valence)
         keys = self.edges[:, 0] * count + self.edges[:, 1]
         wanted = np.minimum(first, second) * count + np.maximum(first, second)
@@ -55,7 +55,7 @@ class Topology:
 
 
 def build_topology(faces: Int[np.ndarray, "f 3"], n_vertices: int) -> Topology:
-    """Find the edges of a mesh and what lies on their sides.
+    """Find the edges of a mesh and the faces on their sides.
 
     Args:
         faces: Consistently oriented faces of a manifold, with or without rim.
@@ -107,7 +107,7 @@ def build_topology(faces: Int[np.ndarray, "f 3"], n_vertices: int) -> Topology:
 
 
 def euler_number(faces: Int[np.ndarray, "f 3"]) -> int:
-    """Vertices − edges + faces, counting only vertices that a face uses."""
+    """Return vertices − edges + faces, of vertices that a face uses."""
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     return len(np.unique(faces)) - len(np.unique(edges, axis=0)) + len(faces)
 
@@ -115,7 +115,7 @@ def euler_number(faces: Int[np.ndarray, "f 3"]) -> int:
 def component_labels(
     faces: Int[np.ndarray, "f 3"], n_vertices: int
 ) -> Int[np.ndarray, " f"]:
-    """Number of the connected component of each face, joined by shared vertices."""
+    """Label each face by its connected component, joined by shared vertices."""
     tail, head = faces.ravel(), faces[:, [1, 2, 0]].ravel()
     links = coo_array(
         (np.ones(len(tail), dtype=bool), (tail, head)), shape=(n_vertices, n_vertices)
@@ -125,7 +125,7 @@ def component_labels(
 
 
 def is_manifold(faces: Int[np.ndarray, "f 3"], n_vertices: int) -> bool:
-    """Whether the mesh is an oriented manifold, with or without rim.
+    """Return whether the mesh is an oriented manifold, with or without rim.
 
     Every edge is run at most once in each direction, and the faces around every
     vertex form one fan (closed, or open between two rim edges).
@@ -140,7 +140,10 @@ def is_manifold(faces: Int[np.ndarray, "f 3"], n_vertices: int) -> bool:
 def vertex_fans(
     faces: Int[np.ndarray, "f 3"], topology: Topology
 ) -> Int[np.ndarray, " m"]:
-    """Number of fans of faces at each vertex: 1 at a manifold vertex, 0 if unused."""
+    """Count the fans of faces at each vertex.
+
+    It is 1 at a manifold vertex and 0 at an unused one.
+    """
     # A node for every corner; corners of one vertex are linked where their faces
     # share an edge at it. Fans are the connected components.
     n_faces = len(faces)
@@ -161,10 +164,10 @@ def vertex_fans(
 
 @dataclass(frozen=True, eq=False)
 class Incidence:
-    """Lists of different length, one after the other.
+    """Lists of different length, concatenated (CSR layout).
 
     Attributes:
-        start: Where each row starts in `items`; it goes on from there.
+        start: Where each row starts in `items`.
         count: Number of items of each row.
         items: All items, row after row.
     """
@@ -176,7 +179,7 @@ class Incidence:
     def rows(
         self, wanted: Int[np.ndarray, " k"]
     ) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
-        """All (position in `wanted`, item) pairs of the wanted rows."""
+        """Return all (position in `wanted`, item) pairs of the wanted rows."""
         owner, place = expand(self.start[wanted], self.count[wanted])
         return owner, self.items[place]
 
@@ -192,7 +195,7 @@ def group(
 def expand(
     start: Int[np.ndarray, " k"], count: Int[np.ndarray, " k"]
 ) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
-    """Positions start[i], start[i] + 1, … start[i] + count[i] − 1, with their i."""
+    """List positions start[i] … start[i] + count[i] − 1, with their i."""
     owner = np.repeat(np.arange(len(start)), count)
     before = np.cumsum(count) - count
     return owner, np.arange(len(owner)) + (start - before)[owner]
@@ -201,15 +204,15 @@ def expand(
 def greedy_independent(
     operation: Int[np.ndarray, " p"], touched: Int[np.ndarray, " p"], n_operations: int
 ) -> Bool[np.ndarray, " k"]:
-    """Operations, best first, that touch nothing another chosen one touches.
+    """Select operations greedily that touch nothing in common, best first.
 
-    The result is what a serial pass in order of rank would choose, found in rounds:
-    an operation that is the best one at everything it touches is chosen, those
-    that meet a chosen one are dropped.
+    The result is that of a serial pass in order of rank, found in rounds: an operation
+    that is the best one at everything it touches is chosen, those that meet a chosen
+    one are dropped.
 
     Args:
         operation: Rank of the operation (0 is the best) of each pair.
-        touched: What it touches (a vertex index, say).
+        touched: The index that it touches (of a vertex, for example).
         n_operations: Number of operations.
 
     Returns:

@@ -1,13 +1,13 @@
-"""Two triangles: what they share, whether they overlap, their distance; vectorised.
+"""Pairs of triangles: shared corners, overlap, distance; vectorised.
 
-Corners are shared if their coordinates are equal to the last bit. What two triangles
-have besides shared corners is disjoint
+Corners are shared if their coordinates are equal to the last bit. Two triangles do not
+overlap beyond shared corners
 
-- if they share none: if they are;
-- if they share one: if the side opposite to it of each misses the other;
-- if they share two: if they are not folded onto each other, within the audit's
-  `FOLD_DEGREES` (planes that differ have only the line of the common side in common);
-- never if they share three.
+- with none shared: if they are disjoint;
+- with one: if the side opposite to it of each misses the other;
+- with two: if they are not folded onto each other, within the audit's `FOLD_DEGREES`
+  (different planes have only the line of the common side in common);
+- with three: never.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from jaxgrow.mesh.quality import area_vectors, lengths, unit
 def same_corners(
     one: Float[np.ndarray, "p 3 3"], other: Float[np.ndarray, "p 3 3"]
 ) -> Bool[np.ndarray, "p 3 3"]:
-    """Whether corner i of one triangle is corner j of the other."""
+    """Return whether corner i of one triangle is corner j of the other."""
     a, b = one[:, :, None], other[:, None]
     same = a[..., 0] == b[..., 0]
     same &= a[..., 1] == b[..., 1]
@@ -37,7 +37,7 @@ def overlapping(
     other: Float[np.ndarray, "p 3 3"],
     same: Bool[np.ndarray, "p 3 3"],
 ) -> Bool[np.ndarray, " p"]:
-    """Whether two triangles meet elsewhere than in the corners that they share."""
+    """Return whether two triangles meet beyond the corners that they share."""
     mine, its = np.any(same, axis=2), np.any(same, axis=1)
     shared = mine.sum(axis=1)
     result = shared > 2
@@ -70,9 +70,11 @@ def overlapping(
 def _parted(
     one: Float[np.ndarray, "p 3 3"], other: Float[np.ndarray, "p 3 3"]
 ) -> Bool[np.ndarray, " p"]:
-    """Whether an obvious plane lies between: along one, or across the line of middles.
+    """Return whether an obvious plane separates two triangles.
 
-    True of most pairs, and cheaper than all the directions of `meeting`.
+    The planes are those along each, and across the line of their middles.
+
+    It holds for most pairs, and costs less than all the directions of `meeting`.
     """
     origin = one[:, :1]
     one, other = one - origin, other - origin
@@ -93,7 +95,7 @@ def _parted_at(
     one: Float[np.ndarray, "p 3 3"],
     other: Float[np.ndarray, "p 3 3"],
 ) -> Bool[np.ndarray, " p"]:
-    """Whether an obvious plane through a common corner lies between two triangles.
+    """Return whether a plane through a common corner separates two triangles.
 
     Seen from there they are two angles. If one is in a closed half-space and the other
     inside the opposite one, the triangles meet nowhere else.
@@ -101,7 +103,7 @@ def _parted_at(
     Args:
         tip: The common corner.
         one: The side opposite to it.
-        other: Likewise.
+        other: The side opposite to it of the other triangle.
     """
     a, b, c, d = (unit(x[:, k] - tip) for x in (one, other) for k in (0, 1))
     result = np.zeros(len(tip), dtype=bool)
@@ -116,14 +118,14 @@ def _parted_at(
 def _cross(
     a: Float[np.ndarray, "p 3"], b: Float[np.ndarray, "p 3"]
 ) -> Float[np.ndarray, "p 3"]:
-    """Vector products (of a few thousand rows faster than numpy's own)."""
+    """Return vector products, for a few thousand rows faster than numpy."""
     return 2 * area_vectors(np.stack([np.zeros_like(a), a, b], axis=1))
 
 
 def _opposite_side(
     triangles: Float[np.ndarray, "p 3 3"], corner: Bool[np.ndarray, "p 3"]
 ) -> Float[np.ndarray, "p 3 3"]:
-    """The side opposite to the marked corner, as a degenerate triangle."""
+    """Return the side opposite to the marked corner, as a degenerate triangle."""
     rows, place = np.arange(len(triangles)), corner.argmax(axis=1)
     a, b = triangles[rows, (place + 1) % 3], triangles[rows, (place + 2) % 3]
     return np.stack([a, b, b], axis=1)
@@ -132,14 +134,14 @@ def _opposite_side(
 def facing(
     one: Float[np.ndarray, "p 3 3"], other: Float[np.ndarray, "p 3 3"]
 ) -> Bool[np.ndarray, " p"]:
-    """Whether the normals are opposed."""
+    """Return whether the normals are opposed."""
     return np.einsum("pi,pi->p", area_vectors(one), area_vectors(other)) < 0
 
 
 def distances(
     one: Float[np.ndarray, "p 3 3"], other: Float[np.ndarray, "p 3 3"]
 ) -> Float[np.ndarray, " p"]:
-    """Exact distance of triangle i of one list to triangle i of the other.
+    """Compute the exact distance of triangle i to triangle i of another list.
 
     It is zero, or reached at a corner of one of them, or inside a side of both.
     """

@@ -1,4 +1,4 @@
-"""Generalised winding number: on which side of a closed mesh a point is."""
+"""Generalised winding number, to tell the inside of a closed mesh."""
 
 from __future__ import annotations
 
@@ -17,17 +17,16 @@ def winding_number(
     vertices: Float[np.ndarray, "m 3"],
     faces: Int[np.ndarray, "f 3"],
 ) -> Float[np.ndarray, " n"]:
-    """Sum of the signed solid angles of all faces over 4 pi.
+    """Compute the winding number: signed solid angles of all faces over 4 pi.
 
     For a closed surface with outward normals: 1 inside, 0 outside, whole numbers up to
     rounding; on the surface itself, a fraction.
     The solid angle Ω of a triangle seen from the origin is
     tan(Ω / 2) = a·(b × c) / (|a||b||c| + (a·b)|c| + (b·c)|a| + (c·a)|b|)
-    (Van Oosterom and Strackee 1983). No distance, no sign of a distance and no nearest
-    face enters.
+    (Van Oosterom and Strackee 1983). Neither distances nor nearest faces are used.
 
     Args:
-        points: Where to ask.
+        points: Query points.
         vertices: Mesh vertices, in the same unit.
         faces: Mesh faces.
 
@@ -35,7 +34,7 @@ def winding_number(
         The winding number at each point, dimensionless.
     """
     corners = np.asarray(vertices, float)[faces].reshape(-1, 9).T.copy()
-    # a copy: a second loop would be compiled for arrays that are read only
+    # a copy: numba would compile a second signature for read-only arrays
     return kernels.loops("winding").numbers(
         np.array(points, float), corners, ON_SURFACE
     )
@@ -47,7 +46,7 @@ def particles_outside(
     points: Float[np.ndarray, "n 3"],
     tissue: str,
 ) -> Bool[np.ndarray, " n"]:
-    """Particles that are not in the tissue.
+    """Mark the particles that are not in the tissue.
 
     Args:
         vertices: The closed organ surface with outward normals.
