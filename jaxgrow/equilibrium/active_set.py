@@ -1,12 +1,12 @@
-"""Relaxation of the part that is disturbed, while the rest stays where it is.
+"""Relaxation of the disturbed part (active set), with the rest held.
 
-A division disturbs what is around it: forces that it leaves on a shell at distance R
-fall as about R^-2.5: in a dense ball 800 particles are enough for 1e-3 F(0), and 11 000
-for 1e-4, of however many there are. So nodes around those that feel more than
-the tolerance are relaxed in a problem of their own, whose border is held; then the
-forces on *everything* are evaluated, and the part is enlarged by what feels too much
-now, until nothing does. The end is judged as that of every method: by the largest force
-on any free node.
+A division disturbs its surroundings: the forces that it leaves on a shell at distance R
+fall as about R^-2.5. In a dense ball 800 particles are enough for 1e-3 F(0), and 11 000
+for 1e-4, whatever the total number. So the nodes around those with a force above the
+tolerance are relaxed in a problem of their own, whose border is held; then the forces
+on *all* nodes are evaluated, and the part is enlarged by those with too large a force
+now, until there is none. The criterion at the end is that of every method: the largest
+force on any free node.
 """
 
 from typing import NamedTuple
@@ -45,40 +45,40 @@ from jaxgrow.state import Nodes
 
 
 FEWEST = 16_384
-"""Nodes from which on `relax` tries this by itself: a smaller problem is relaxed as a
-whole in the time that it takes to cut out parts of it."""
+"""Number of nodes from which on `relax` uses this method automatically: a smaller
+problem is relaxed as a whole in the time that it takes to cut out parts of it."""
 
 RADIUS = 4.0
-"""What is within this distance (r0) of a node with too large a force may move."""
+"""Nodes within this distance (r0) of one with too large a force may move."""
 
 LITTLE = 2.0
-"""Where no force is larger than so many tolerances, half of the distance does."""
+"""Largest force, in tolerances, up to which half of `RADIUS` is used."""
 
 SLIGHT = 1e-2
-"""Largest force, in F(0), by which nodes do not go far."""
+"""Largest force, in F(0), up to which the smaller of the `MARGINS` is tried."""
 
 MARGINS = 0.25, 1.0
-"""How far a node may go, in r0, before it could meet what was not cut out with it:
-where only slight forces are left, and in any case."""
+"""Distance that a node may move, in r0, before it could meet nodes outside the part:
+for slight forces, and for all."""
 
 INSIDE = 0.85
-"""How far below the tolerance a part is relaxed, as a share of it: what is relaxed
-later disturbs it again a little."""
+"""Tolerance of a part over that of the whole: parts that are relaxed later disturb it
+slightly."""
 
 SMALL_SHARE = 0.25
-"""Of what may move; where no more than so much of it is around what feels too much, as
-at the border of what moved before, only that is relaxed next."""
+"""Share of the moving nodes: if at most so many are around those with too large a
+force, as at the border of the part, only these are relaxed next."""
 
 LARGEST_SHARE = 0.25
-"""Of all nodes, beyond which the whole is relaxed instead."""
+"""Share of all free nodes beyond which the whole is relaxed instead."""
 
 
 class Chosen(NamedTuple):
-    """What is relaxed in a round.
+    """Active set of a round.
 
     Attributes:
-        moving: what may move.
-        moved: the same with what could move before.
+        moving: nodes that may move in this round.
+        moved: these and those that could move in earlier rounds.
     """
 
     moving: Mask
@@ -86,18 +86,18 @@ class Chosen(NamedTuple):
 
     @classmethod
     def nothing(cls, problem: Problem) -> "Chosen":
-        """Before the first round."""
+        """Return the empty active set, before the first round."""
         return cls(none_of(problem), none_of(problem))
 
     def following(self, near: Mask, free: Mask) -> "Chosen | None":
-        """The next round; None where only a relaxation of the whole goes on.
+        """Return the next active set; None if the whole must be relaxed.
 
-        All that moved so far moves again, but for a little around the border: that
-        moves alone, and if this disturbs the rest, all of it moves next.
+        All nodes that moved so far move again, except if only a few around the border
+        are added: those move alone, and if this disturbs the rest, all move next.
 
         Args:
-            near: what is around nodes that feel too much.
-            free: what may move at all.
+            near: nodes around those with too large a force.
+            free: nodes that may move at all.
         """
         moved = near.joined(self.moved)
         grows = moved.size > self.moved.size
@@ -109,13 +109,14 @@ class Chosen(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """What everything feels.
+    """Forces on all nodes, with the lists that they were found by.
 
     Attributes:
         force: on every node.
-        size: of it, where it counts.
-        lists: contacts as they were found for it, and the pair forces to be kept; the
-            neighbours of all particles are listed anew only where all are asked for.
+        size: its norm, on free nodes.
+        lists: contacts that are valid for it, and the cached pair forces; the
+            neighbour list is rebuilt only if the forces on all particles were
+            evaluated.
     """
 
     force: Nodes
@@ -129,7 +130,7 @@ def _forces(problem: Problem, lists: Lists) -> Nodes:
 
 
 def _judge(problem: Problem, lists: Lists, free: Mask) -> Judged:
-    """The force on every node: of pairs by what is another than when they were kept."""
+    """Compute the forces on all nodes, with cached pair forces updated."""
     kept = None
     if problem.particles is None:
         lists = with_contacts(problem, lists)
@@ -155,13 +156,13 @@ def _judge(problem: Problem, lists: Lists, free: Mask) -> Judged:
 
 
 def is_local(problem: Problem) -> bool:
-    """Whether it is known how far all of its energies act."""
+    """Return whether the range of all energies is known."""
     own = all(isinstance(term, MembraneTerm) for term in problem.terms)
     return own and not problem.functions
 
 
 def may_pay(problem: Problem) -> bool:
-    """Whether a problem is large enough to look for the part that is disturbed."""
+    """Return whether a problem is large enough for local relaxation."""
     if not is_local(problem):
         return False
     count = 0
@@ -173,16 +174,16 @@ def may_pay(problem: Problem) -> bool:
 
 
 def relax_locally(problem: Problem, lists: Lists, limits: Limits) -> Found:
-    """Relax the part around too large forces, larger and larger, by L-BFGS.
+    """Relax a growing part around too large forces, by L-BFGS.
 
     Args:
         problem: without collisions.
-        lists: that fit it.
+        lists: of matching shapes.
         limits: tolerance, steps and longest step of every round.
 
     Returns:
         The nodes and the forces on all of them; STEP_LIMIT if the part became too large
-        a share of the whole, or could not be relaxed by itself.
+        a share of the whole, or could not be relaxed separately.
     """
     within = limits._replace(tolerance=INSIDE * limits.tolerance)
     stage = Stage("lbfgs", LBFGS(), within.tolerance)
@@ -202,7 +203,7 @@ def relax_locally(problem: Problem, lists: Lists, limits: Limits) -> Found:
             rebuilds,
             overflows,
         )
-        if not residual > limits.tolerance:  # NaN too: the whole tells what it is
+        if not residual > limits.tolerance:  # NaN too: the whole diagnoses it
             return ended
         large = judged.size.above(limits.tolerance)
         little = residual <= LITTLE * limits.tolerance
@@ -226,7 +227,7 @@ def relax_locally(problem: Problem, lists: Lists, limits: Limits) -> Found:
 
 
 def _lists_of(part: Part, lists: Lists) -> Lists:
-    """Lists of a part, with room as in those of the whole."""
+    """Allocate the lists of a part, with the capacities of the whole's."""
     particles = part.problem.particles
     if particles is None or lists.neighbors is None:
         return allocate_lists(part.problem)
@@ -241,5 +242,5 @@ def _farthest_move(new: Nodes, old: Nodes) -> Float[Array, ""]:
 
 
 def _farthest(new: Nodes, old: Nodes) -> float:
-    """The longest way that a node went, in r0."""
+    """Return the longest displacement of a node, in r0."""
     return float(_farthest_move(new, old))

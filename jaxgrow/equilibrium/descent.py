@@ -1,4 +1,4 @@
-"""The compiled loop of a relaxation: evaluate, learn, propose, bound, move."""
+"""Compiled loop of a relaxation: evaluate, learn, propose, bound, move."""
 
 import itertools
 from typing import Protocol, runtime_checkable
@@ -18,16 +18,16 @@ from jaxgrow.state import Nodes
 
 @runtime_checkable
 class Minimiser(Protocol):
-    """A method that turns forces into displacements; see `LBFGS` and `FIRE`."""
+    """Method that turns forces into displacements; see `LBFGS` and `FIRE`."""
 
     def init(self, force: Float[Array, "d 3"]) -> PyTree:
-        """The memory before the first step."""
+        """Return the memory before the first step."""
         ...
 
     def propose(
         self, memory: PyTree, force: Float[Array, "d 3"]
     ) -> tuple[Float[Array, "d 3"], PyTree]:
-        """The displacement to try, in r0."""
+        """Return the displacement to try, in r0, and the memory."""
         ...
 
     def learn(
@@ -38,21 +38,21 @@ class Minimiser(Protocol):
         after: Float[Array, "d 3"],
         made: Bool[Array, ""],
     ) -> PyTree:
-        """The memory after a displacement, if it was made; else as it was."""
+        """Update the memory after a displacement, if it was made."""
         ...
 
 
 class Descent(eqx.Module):
-    """Where a descent stands.
+    """State of a descent.
 
     Attributes:
         nodes: positions accepted last.
-        force: at these positions, on nodes that may not move too.
+        force: at these positions, on all nodes.
         lists: the current lists.
         memory: of the minimiser.
         residual: largest force on a free node, in F(0).
         steps: number of steps made; there is one evaluation of forces more.
-        rebuilds: how often lists were rebuilt on the way.
+        rebuilds: number of list rebuilds.
         code: of the `Result`; STEP_LIMIT while it runs.
     """
 
@@ -67,14 +67,15 @@ class Descent(eqx.Module):
 
 
 class _Now(eqx.Module):
-    """A `Descent` without its lists, and what it tries next.
+    """State of a `Descent` without its lists, with the next trial.
 
     Attributes:
-        nodes, force, residual, steps, code: as there; no step is -1.
+        nodes, force, residual, steps, code: as there; -1 steps before the first
+            evaluation.
         memory: of the minimiser after it proposed the step.
         trial: positions to evaluate next.
         step: the displacement to them, all 0 before the first step.
-        outgrown: whether the lists do not hold there.
+        outgrown: lists that are not valid there.
     """
 
     nodes: Nodes
@@ -89,17 +90,17 @@ class _Now(eqx.Module):
 
 
 def blank_memory(problem: Problem, minimiser: Minimiser) -> PyTree:
-    """The memory of a descent that has not begun."""
+    """Return the memory of a descent that has not begun."""
     return minimiser.init(_rows(jax.tree.map(jnp.zeros_like, problem.nodes())))
 
 
 def _rows(nodes: Nodes) -> Float[Array, "d *_"]:
-    """All nodes in one array."""
+    """Concatenate all nodes in one array."""
     return jnp.concatenate(jax.tree.leaves(nodes))
 
 
 def _like(rows: Float[Array, "d 3"], nodes: Nodes) -> Nodes:
-    """One array split into nodes again."""
+    """Split one array into nodes."""
     leaves, structure = jax.tree.flatten(nodes)
     ends = list(itertools.accumulate(leaf.shape[0] for leaf in leaves))
     return jax.tree.unflatten(structure, jnp.split(rows, ends[:-1]))
@@ -108,7 +109,7 @@ def _like(rows: Float[Array, "d 3"], nodes: Nodes) -> Nodes:
 def _bounded(
     step: Float[Array, "d 3"], limit: Float[Array, " d"], largest: Scalar
 ) -> Float[Array, "d 3"]:
-    """A step whose longest row is `largest`, cut row by row to its limit."""
+    """Scale a step to a longest row, then clip each row to its limit."""
     length = safe_norm(step)
     longest = jnp.max(length)
     step = step * jnp.minimum(1, largest / jnp.where(longest > 0, longest, 1))
@@ -128,12 +129,12 @@ def descend(
 ) -> Descent:
     """Move the free nodes until the largest force is at most `tolerance`.
 
-    Stops early, with the last valid positions, when a list no longer fits, a force is
-    not finite, or a node has no clearance at all, and when the host has to list the
-    collisions anew.
+    Stops early, with the last valid positions, when a list overflows, a force is not
+    finite, or a node has no clearance at all, and when the host must rebuild the
+    collision list.
 
     Two loops: the inner one steps with lists that do not change, until a step leads to
-    where they do not hold; the outer one rebuilds them. In a single loop the lists
+    where they are not valid; the outer one rebuilds them. In a single loop the lists
     would be carried, and copied, through every step.
 
     Args:
@@ -143,7 +144,7 @@ def descend(
         tolerance: largest force allowed on a free node, in F(0).
         max_steps: bound on the number of steps.
         largest: longest displacement of a node in one step, in r0.
-        memory: of an earlier descent that this one goes on from; None for a new one.
+        memory: of an earlier descent that is continued; None for a new one.
     """
     free = _rows(problem.free())
 
@@ -158,7 +159,7 @@ def descend(
         return (now.code == Result.STEP_LIMIT.code) & (now.steps < max_steps)
 
     def advance(lists: Lists, now: _Now) -> _Now:
-        """Evaluate the trial, accept it, learn from it, and propose the next."""
+        """Evaluate the trial, accept it, update the memory, and propose the next."""
         first = now.steps < 0
         forces, bound = problem.forces_and_bound(now.trial, lists, largest)
         before, force = free * _rows(now.force), free * _rows(forces)

@@ -1,4 +1,4 @@
-"""The paper's relaxation (its eq. 1) with all positions updated at once."""
+"""Relaxation by the paper's eq. 1 with all positions updated at once."""
 
 import equinox as eqx
 from jaxtyping import Array, Bool, Float
@@ -7,7 +7,7 @@ from jaxgrow.runtime.types import Scalar
 
 
 class Euler(eqx.Module):
-    r"""Minimiser :math:`x \leftarrow x + \frac{h^2}{m} F`: steepest descent.
+    r"""Steepest descent :math:`x \leftarrow x + \frac{h^2}{m} F`.
 
     "The time step h has to be selected small enough to prevent particles from
     outrunning each other": it diverges from :math:`2/\lambda` on, with λ the largest
@@ -21,13 +21,13 @@ class Euler(eqx.Module):
     rate: Scalar = 0.09
 
     def init(self, force: Float[Array, "d 3"]) -> None:
-        """It remembers nothing."""
+        """Return None: the method has no memory."""
         del force
 
     def propose(
         self, memory: None, force: Float[Array, "d 3"]
     ) -> tuple[Float[Array, "d 3"], None]:
-        """Along the force."""
+        """Return the displacement along the force."""
         del memory
         return self.rate * force, None
 
@@ -39,5 +39,5 @@ class Euler(eqx.Module):
         after: Float[Array, "d 3"],
         made: Bool[Array, ""],
     ) -> None:
-        """Nothing."""
+        """Return None: the method has no memory."""
         del memory, displacement, before, after, made

@@ -1,7 +1,7 @@
-"""FIRE, the fast inertial relaxation engine (Bitzek et al., PRL 97, 170201, 2006).
+"""FIRE, the fast inertial relaxation engine (Bitzek et al. 2006).
 
-Slower than L-BFGS on smooth energies, but it needs no smoothness: the fall-back where
-pairs sit on a jump of the force.
+PRL 97, 170201. It is slower than L-BFGS on smooth energies, but needs no smoothness:
+the fall-back where pairs sit on a jump of the force.
 """
 
 import equinox as eqx
@@ -12,7 +12,7 @@ from jaxgrow.runtime.types import Scalar
 
 
 class FIREMemory(eqx.Module):
-    """Velocity, time step, mixing factor, and the steps since uphill motion."""
+    """Velocity, time step, mixing factor, and steps since uphill motion."""
 
     velocity: Float[Array, "d 3"]
     step: Float[Array, ""]
@@ -21,7 +21,7 @@ class FIREMemory(eqx.Module):
 
 
 class FIRE(eqx.Module):
-    """Minimiser with the published constants; unit mass.
+    """FIRE minimiser with the published constants and unit mass.
 
     Attributes:
         first: first time step.
@@ -34,7 +34,7 @@ class FIRE(eqx.Module):
     largest: Scalar = 0.4
 
     def init(self, force: Float[Array, "d 3"]) -> FIREMemory:
-        """At rest."""
+        """Return the memory at rest."""
         return FIREMemory(
             jnp.zeros_like(force),
             jnp.asarray(self.first, force.dtype),
@@ -45,7 +45,7 @@ class FIRE(eqx.Module):
     def propose(
         self, memory: FIREMemory, force: Float[Array, "d 3"]
     ) -> tuple[Float[Array, "d 3"], FIREMemory]:
-        """Displacement of one step of semi-implicit Euler with mixed velocity."""
+        """Return the displacement of one semi-implicit Euler step, mixed velocity."""
         power = jnp.sum(force * memory.velocity)
         uphill = power <= 0
         patient = ~uphill & (memory.downhill > 5)
@@ -76,7 +76,7 @@ class FIRE(eqx.Module):
         after: Float[Array, "d 3"],
         made: Bool[Array, ""],
     ) -> FIREMemory:
-        """Take the velocity from the step that was made: a bound may have cut it."""
+        """Set the velocity from the step made, which a bound may have cut."""
         del before, after
         velocity = jnp.where(made, displacement / memory.step, memory.velocity)
         return eqx.tree_at(lambda m: m.velocity, memory, velocity)

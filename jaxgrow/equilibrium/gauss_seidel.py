@@ -1,7 +1,7 @@
 r"""The paper's relaxation (its eq. 1) in serial order, for particles alone.
 
-Every particle in its turn moves by :math:`\frac{h^2}{m} F`, and those after it see
-where it went (Gauss and Seidel). "For small changes [...] the convergence is faster
+Every particle in its turn moves by :math:`\frac{h^2}{m} F`, and those after it use its
+new position (Gauss and Seidel). "For small changes [...] the convergence is faster
 using serial computation", and longer steps are stable than with all at once.
 """
 
@@ -28,12 +28,12 @@ class Swept(eqx.Module):
     """Outcome of `sweep`.
 
     Attributes:
-        nodes: where it stands.
-        force: there, on particles that may not move too.
+        nodes: positions accepted last.
+        force: there, on all particles.
         lists: valid there.
         residual: largest force on a free particle, in F(0).
         steps: number of sweeps.
-        rebuilds: how often lists were rebuilt.
+        rebuilds: number of list rebuilds.
         code: of the `Result`; STEP_LIMIT if the tolerance was not reached.
     """
 

@@ -1,26 +1,26 @@
-r"""Linear response: how an equilibrium moves when small forces act on it.
+r"""Solution of the Hessian's linear system by conjugate gradients.
 
 At an equilibrium :math:`x^*` the free forces vanish, and small forces f move it by
 
 .. math:: H\, \delta x = f, \qquad H = \nabla^2 E(x^*)
 
 which is what a Newton step and the derivative of an equilibrium need. H is never
-formed: conjugate gradients use its products with vectors (Hestenes and Stiefel 1952),
-each as dear as about two force evaluations.
+formed: conjugate gradients use Hessian products (Hestenes and Stiefel 1952), each of
+which costs about two force evaluations.
 
-*Null modes.* Where nothing is pinned, H does not feel the six rigid motions (under a
-load, only the three shifts), and it never feels a particle that touches nothing.
-Neither the response nor the forces have a part in them: both are projected. They are
-counted.
+*Null modes.* If nothing is pinned, the null space of H holds the six rigid motions
+(under a load, only the three translations), and always the motions of a particle that
+touches nothing. Response and forces are projected on its complement; its dimension is
+reported.
 
-*Checked.* A direction of negative or no curvature means that this is not a minimum, or
+*Checks.* A direction of negative or zero curvature means that this is not a minimum, or
 that it has further null modes (SINGULAR); a residual that stays too large gives
 NOT_SOLVED. Then the response is NaN, never a number. Forces that share a symmetry of
-the equilibrium do not excite what breaks it, so a column that is about to buckle
-answers a load along its axis as if it were stable. `probe` therefore finds the response
-to a force without any symmetry: residual polynomials of conjugate gradients
-are 1 at the eigenvalue 0, and above 1 at negative ones as long as all curvatures met
-are positive, so the part of that force along such an eigenvector does not vanish, and
+the equilibrium do not excite modes that break it, so a column that is about to buckle
+responds to a load along its axis as if it were stable. `probe` therefore solves for a
+force without any symmetry: residual polynomials of conjugate gradients are 1 at the
+eigenvalue 0, and above 1 at negative ones as long as all curvatures met are positive,
+so the component of that force along such an eigenvector does not vanish, and
 convergence proves that there is none (up to the residual).
 """
 
@@ -46,18 +46,19 @@ MAX_PRODUCTS = 4000
 """Bound on the Hessian products of one response."""
 
 _SEEN = 1e-6
-"""Part, over its length, of the force without symmetry that every mode surely has."""
+"""Least relative component of the force without symmetry that is assumed in every
+mode."""
 
 Product = Callable[[Nodes], Nodes]
 
 
 class Response(eqx.Module):
-    """How an equilibrium moves.
+    """Linear response of an equilibrium to forces.
 
     Attributes:
         nodes: displacement of every node, in r0; NaN if `code` is not CONVERGED.
         residual: |H δx − f| / |f|.
-        products: Hessian products that it took.
+        products: number of Hessian products.
         softest: smallest curvature met, in F(0)/r0: an upper bound of the lowest
             eigenvalue of H (null modes apart); infinite if none was met.
         null_modes: rigid modes, and three for each particle that touches nothing.
@@ -73,13 +74,13 @@ class Response(eqx.Module):
 
 
 class Linearised(NamedTuple):
-    """A problem linearised at its nodes.
+    """Problem linearised at its nodes.
 
     Attributes:
         force: on all nodes, in F(0), 0 on those that may not move.
         product: H v.
-        feel: takes out of a vector what may not move and what touches nothing.
-        project: takes the rigid modes out of it too.
+        feel: sets rows of a vector to 0 that may not move or touch nothing.
+        project: removes the rigid modes as well.
         null_modes: their number.
         uneven: a force without any symmetry, on every row.
         respond: the response to a force, by one loop; None where there is none.
@@ -95,17 +96,17 @@ class Linearised(NamedTuple):
 
 
 def solved(dtype: DTypeLike) -> float:
-    """Residual, over the force, at which a response is exact in this precision."""
+    """Return the relative residual at which a response counts as exact."""
     return 1e-10 if jnp.finfo(dtype).bits > 32 else 1e-4
 
 
 def _flat(dtype: DTypeLike) -> float:
-    """Curvature, over the largest met, below which a direction is a null mode."""
+    """Return the relative curvature below which a direction is a null mode."""
     return 1e-9 if jnp.finfo(dtype).bits > 32 else 1e-5
 
 
 def dot(first: Nodes, second: Nodes) -> Float[Array, ""]:
-    """Scalar product over all nodes."""
+    """Return the scalar product over all nodes."""
     products = jax.tree.map(lambda a, b: jnp.sum(a * b), first, second)
     return jnp.sum(jnp.stack(jax.tree.leaves(products)))
 
@@ -115,7 +116,7 @@ def _plus(first: Nodes, factor: Scalar, second: Nodes) -> Nodes:
 
 
 def linearise(problem: Problem, lists: Lists) -> Linearised:
-    """The forces and their derivative at the problem's nodes."""
+    """Compute the forces and their derivative at the problem's nodes."""
     free = problem.free()
 
     def masked(nodes: Nodes) -> Nodes:
@@ -153,21 +154,24 @@ def linearise(problem: Problem, lists: Lists) -> Linearised:
 
 
 def _uneven(rows: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-    """Numbers of either sign without pattern, none of them 0."""
+    """Return numbers of either sign without pattern, none of them 0."""
     index = jnp.arange(rows.size).reshape(rows.shape)
     return jnp.sin(1.0 + index.astype(rows.dtype) ** 2)
 
 
 def _null_modes(problem: Problem, felt: Nodes) -> tuple[Nodes, Nodes, Int[Array, ""]]:
-    """Rows that feel others (1, else 0), rigid modes (orthonormal), and their number.
+    """Find the rows with stiffness, the rigid modes, and the nullity.
 
     A row of H that gives exactly 0 for a vector without zeros is a particle that
-    touches nothing. A rigid mode that is not there (something is pinned or loaded,
-    fewer than three particles) is 0.
+    touches nothing. A rigid mode that does not exist (something is pinned or loaded,
+    fewer than three particles) is 0; the others are orthonormal.
 
     Args:
-        problem: at its nodes.
+        problem: at the equilibrium.
         felt: the product of H with a vector without zeros.
+
+    Returns:
+        1 for rows with stiffness, else 0; the rigid modes; the number of null modes.
     """
     nodes, free = problem.nodes(), problem.free()
 
@@ -215,9 +219,9 @@ def _null_modes(problem: Problem, felt: Nodes) -> tuple[Nodes, Nodes, Int[Array,
 
 
 def _without(modes: Nodes, vector: Nodes) -> Nodes:
-    """A vector without its part in orthonormal modes, which are in front of the rows.
+    """Project orthonormal modes out of a vector (Gram and Schmidt).
 
-    Gram and Schmidt; a mode that is 0 takes nothing.
+    The modes are stacked along the first axis; a mode that is 0 has no effect.
     """
     each = jax.tree.map(lambda m, v: jnp.tensordot(m, v, 2), modes, vector)
     parts = jnp.sum(jnp.stack(jax.tree.leaves(each)), axis=0)
@@ -225,7 +229,7 @@ def _without(modes: Nodes, vector: Nodes) -> Nodes:
 
 
 def _unpinned(problem: Problem) -> Bool[Array, ""]:
-    """Whether nothing at all is held."""
+    """Return whether nothing at all is held."""
     loose = jnp.ones((), bool)
     if problem.particles is not None:
         loose &= ~jnp.any(problem.particles.alive & problem.particles.held)
@@ -235,7 +239,7 @@ def _unpinned(problem: Problem) -> Bool[Array, ""]:
 
 
 def _unloaded(problem: Problem) -> Bool[Array, ""]:
-    """Whether no force is given whose direction stays when everything turns."""
+    """Return whether there is no load, which would break rotation symmetry."""
     if problem.load is None or problem.membrane is None:
         return jnp.ones((), bool)
     return ~jnp.any((problem.load != 0) & problem.membrane.free[:, None])
@@ -244,8 +248,8 @@ def _unloaded(problem: Problem) -> Bool[Array, ""]:
 class _Search(eqx.Module):
     """State of the conjugate gradients.
 
-    The last iteration is not one of theirs: it has the product with the solution, so
-    that a product is compiled once.
+    The last iteration computes the product with the solution, so that a product is
+    compiled once.
     """
 
     x: Nodes
@@ -261,7 +265,7 @@ class _Search(eqx.Module):
 
 
 def solve(linear: Linearised, force: Nodes, relative: Scalar | None = None) -> Response:
-    """The response to forces, by conjugate gradients.
+    """Solve for the response to forces, by conjugate gradients.
 
     Args:
         linear: of a problem at an equilibrium, or near one.
@@ -276,7 +280,7 @@ def solve(linear: Linearised, force: Nodes, relative: Scalar | None = None) -> R
     given = linear.feel(force)
     b, whole = linear.project(given), dot(given, given)
     dtype = whole.dtype
-    # of a force that only shifts or turns, rounding is left, which has no solution
+    # the projection of a purely rigid force is rounding, which has no solution
     rounding = (100 * jnp.finfo(dtype).eps) ** 2 * whole
     nothing = jnp.isfinite(whole) & (dot(b, b) <= rounding)
     b = jax.tree.map(lambda a: jnp.where(nothing, 0, a), b)
@@ -353,9 +357,11 @@ def solve(linear: Linearised, force: Nodes, relative: Scalar | None = None) -> R
 
 
 def probe(linear: Linearised) -> Response:
-    """The response to a force without any symmetry: CONVERGED at a strict minimum only.
+    """Test for a strict minimum: the response to a force without symmetry.
 
-    It is solved as far as the proof needs, not exactly.
+    Only there it is CONVERGED.
+
+    It is solved only to the residual that the proof needs.
 
     Args:
         linear: of a problem at an equilibrium.
@@ -365,7 +371,7 @@ def probe(linear: Linearised) -> Response:
 
 
 def respond(linear: Linearised, force: Nodes) -> Response:
-    """The response to forces of an equilibrium, if that is a strict minimum.
+    """Solve for the response to forces, if the equilibrium is stable.
 
     Args:
         linear: of a problem at an equilibrium.
@@ -374,7 +380,7 @@ def respond(linear: Linearised, force: Nodes) -> Response:
     dtype = jax.tree.leaves(linear.force)[0].dtype
     forces = jax.tree.map(lambda a, b: jnp.stack([a, b]), force, linear.uneven)
     relative = jnp.asarray([solved(dtype), max(_SEEN, solved(dtype))], dtype)
-    # one after the other in a loop, so that they are compiled once
+    # a loop over both, so that the solver is compiled once
     both = jax.lax.map(lambda one: solve(linear, *one), (forces, relative))
     found, any_force = (jax.tree.map(lambda a, k=k: a[k], both) for k in (0, 1))
     stable = any_force.code == Result.CONVERGED.code

@@ -1,4 +1,4 @@
-r"""The derivative of an equilibrium with respect to everything it depends on.
+r"""Implicit differentiation of an equilibrium.
 
 At an equilibrium :math:`F(x^*, \theta) = 0`, so
 
@@ -6,23 +6,23 @@ At an equilibrium :math:`F(x^*, \theta) = 0`, so
           \bar\theta = (\partial_\theta F)^T H^{-1} \bar x
 
 (implicit function theorem; H is symmetric, so the same solver serves both). Forward and
-reverse mode take one linear solve in every direction, and keep the equilibrium alone:
-nothing of the way to it. One more solve, when the equilibrium is found, proves it a
-strict minimum (`jaxgrow.equilibrium.hessian_solve`). If either fails the derivative is
-NaN, all of it.
+reverse mode take one linear solve per direction, and store the equilibrium only, not
+the path to it. One more solve, when the equilibrium is found, proves that it is a
+strict minimum (`jaxgrow.equilibrium.hessian_solve`). If either fails the whole
+derivative is NaN.
 
 :math:`\theta` are the parameters, rest lengths, load, and positions of what is held or
-pinned. Where free nodes started from carries no derivative: an equilibrium is unique
-in its basin. Where nothing is pinned, the rigid motion of the whole is none either.
+pinned. The initial positions of free nodes carry no derivative: an equilibrium is
+unique in its basin. If nothing is pinned, neither do rigid motions.
 
 *Jacobians.* `jax.jacfwd` and `jax.jacrev` solve for one direction after the other
 (`jaxgrow.equilibrium.linear_map`), so every column or row has the bits of a single
-derivative. Second derivatives, and what withholds the values, are refused
+derivative. Second derivatives, and transformations that withhold values, are refused
 (`jaxgrow.equilibrium.transformations`).
 
-*Forces* on what is held or pinned have a derivative too, from the same solve:
-:math:`\delta F = \partial_p F\, \delta p - H\, \delta x`, with :math:`\delta x` on
-all nodes. In reverse mode weights w of the forces and y of the nodes become
+*Forces* on held and pinned nodes have a derivative too, from the same solve:
+:math:`\delta F = \partial_p F\, \delta p - H\, \delta x`, with :math:`\delta x` on all
+nodes. In reverse mode weights w of the forces and y of the nodes become
 
 .. math:: \lambda = H_{ff}^{-1} (y - H w)_f, \qquad
           \bar p = (\partial_p F)^T (\lambda + w), \qquad
@@ -52,16 +52,16 @@ from jaxgrow.state import Nodes
 
 
 EXACT = 1e-8
-"""Residual, over the force, of the linear solve of a derivative in 64 bits: it is off
-by about as much. With 1e-10 a solve takes a quarter more products, and gradients of
-growths are not nearer to differences (``experiments/gradient_quality.py``)."""
+"""Relative residual of the linear solve of a derivative in 64 bits, and about its
+error. With 1e-10 a solve takes a quarter more products, and gradients of growths are
+not nearer to differences (``experiments/gradient_quality.py``)."""
 
 
 class Equilibrium(NamedTuple):
-    """An equilibrium, or a change of it.
+    """Equilibrium, or a change of it.
 
     Attributes:
-        nodes: where they are, in r0.
+        nodes: positions, in r0.
         forces: on all of them, in F(0).
     """
 
@@ -70,7 +70,7 @@ class Equilibrium(NamedTuple):
 
 
 class _Known(NamedTuple):
-    """What the derivative of an equilibrium is computed from.
+    """Constants of the derivative of an equilibrium.
 
     Attributes:
         problem: at the equilibrium, with the loops of Hessian products.
@@ -86,12 +86,12 @@ class _Known(NamedTuple):
 def at_equilibrium(
     problem: Problem, found: Equilibrium, lists: Lists, *, valid: bool
 ) -> Equilibrium:
-    """The equilibrium, with its derivative in what the problem depends on.
+    """Return the equilibrium with its implicit derivative.
 
     Args:
         problem: being differentiated.
-        found: its equilibrium, without derivative; best relaxed to rounding, since
-            the derivative is off by about its residual.
+        found: its equilibrium, without derivative; best relaxed to rounding, since the
+            error of the derivative is about its residual.
         lists: valid there.
         valid: whether it is an equilibrium; if not, the derivative is NaN.
     """
@@ -119,7 +119,7 @@ def _is_minimum(problem: Problem, lists: Lists) -> Bool[Array, ""]:
 
 @jax.jit
 def _forward(known: _Known, flat: Float[Array, " k"]) -> Float[Array, " l"]:
-    """The change of the equilibrium with that of the problem's floats."""
+    """Compute the change of the equilibrium with that of the problem's floats."""
     problem, lists, _ = known
     nodes, free = problem.nodes(), problem.free()
     floats, rest = eqx.partition(problem.with_loops(None), eqx.is_inexact_array)
@@ -139,7 +139,7 @@ def _forward(known: _Known, flat: Float[Array, " k"]) -> Float[Array, " l"]:
 
 @jax.jit
 def _backward(known: _Known, flat: Float[Array, " l"]) -> Float[Array, " k"]:
-    """The transpose of `_forward`."""
+    """Compute the transpose of `_forward`."""
     problem, lists, _ = known
     nodes, free = problem.nodes(), problem.free()
     floats, rest = eqx.partition(problem.with_loops(None), eqx.is_inexact_array)
@@ -160,7 +160,7 @@ def _backward(known: _Known, flat: Float[Array, " l"]) -> Float[Array, " k"]:
 
 
 def _respond(problem: Problem, lists: Lists, force: Nodes) -> Response:
-    """The linear response to a force, as exactly as a derivative needs it."""
+    """Solve for the response to a force, as exactly as a derivative needs it."""
     return solve(linearise(problem, lists), force, max(EXACT, solved(problem.dtype)))
 
 
@@ -169,14 +169,14 @@ def _floats(problem: Problem) -> Problem:
 
 
 def _positions(problem: Problem) -> list[Any]:
-    """The leaves of its nodes."""
+    """Return the leaves of the nodes of a problem."""
     particles, membrane = problem.particles, problem.membrane
     position = [] if particles is None else [particles.position]
     return position if membrane is None else [*position, membrane.vertices]
 
 
 def _chosen(free: Nodes, where_free: Nodes, elsewhere: Nodes) -> Nodes:
-    """The one on rows that may move, the other on those that may not."""
+    """Select the first on free rows, the second on all others."""
     return jax.tree.map(
         lambda on, a, b: jnp.where(on > 0, a, b), free, where_free, elsewhere
     )

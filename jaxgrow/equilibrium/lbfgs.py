@@ -11,9 +11,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 
 class LBFGSMemory(eqx.Module):
-    """The last displacements and force changes, in turns: a new one takes the oldest's.
+    """Ring buffer of the last displacements and force changes.
 
-    So that a step writes one row of each, in place.
+    A new pair replaces the oldest, so that a step writes one row of each, in place.
 
     Attributes:
         displacement: s of each pair, in r0; 0 for an empty slot.
@@ -31,10 +31,10 @@ class LBFGSMemory(eqx.Module):
 
 
 class LBFGS(eqx.Module):
-    """Minimiser with `pairs` pairs of memory.
+    """L-BFGS minimiser with `pairs` pairs of memory.
 
     Attributes:
-        pairs: how many displacements are remembered.
+        pairs: number of displacements in memory.
         first: displacement per force of the first step, in r0/F(0).
     """
 
@@ -42,7 +42,7 @@ class LBFGS(eqx.Module):
     first: float = 0.1
 
     def init(self, force: Float[Array, "d 3"]) -> LBFGSMemory:
-        """An empty memory."""
+        """Return an empty memory."""
         empty = jnp.zeros((self.pairs, *force.shape), force.dtype)
         return LBFGSMemory(
             empty,
@@ -55,7 +55,10 @@ class LBFGS(eqx.Module):
     def propose(
         self, memory: LBFGSMemory, force: Float[Array, "d 3"]
     ) -> tuple[Float[Array, "d 3"], LBFGSMemory]:
-        """Displacement by the two-loop recursion; downhill for pairs with s · y > 0."""
+        """Return the displacement by the two-loop recursion.
+
+        It is a descent direction, as all pairs have s · y > 0.
+        """
         slots = (memory.oldest + jnp.arange(self.pairs)) % self.pairs
 
         def backward(
@@ -85,7 +88,7 @@ class LBFGS(eqx.Module):
         after: Float[Array, "d 3"],
         made: Bool[Array, ""],
     ) -> LBFGSMemory:
-        """Remember a step that was made, if the energy curves upwards along it."""
+        """Store a step that was made, if the energy curves upwards along it."""
         change = before - after
         curvature, square = jnp.sum(displacement * change), jnp.sum(change**2)
         size = jnp.sqrt(jnp.sum(displacement**2) * square)

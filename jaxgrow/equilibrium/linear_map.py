@@ -1,16 +1,16 @@
-"""A linear map whose two directions are programs of their own, as one JAX primitive.
+"""JAX primitive of a linear map whose transpose is a function of its own.
 
 A derivative is a linear map of tangents, and its transpose one of cotangents. Both are
-given here as compiled functions that JAX need not look into: they may solve a system by
-any means. `jax.custom_derivatives.linear_call` does the same, but cannot be batched,
-and traces both functions at every call.
+given here as compiled functions that JAX does not trace: they may solve a system by any
+means. `jax.custom_derivatives.linear_call` does the same, but cannot be batched, and
+traces both functions at every call.
 
-*Batched* over vectors (`jax.jacfwd`, `jax.jacrev`), the function is called for one
-vector after the other, so every row has the bits it has alone, and nothing is compiled
-for their number. It is never batched itself.
+*Batching* over vectors (`jax.jacfwd`, `jax.jacrev`) calls the function for one vector
+after the other, so every row has the bits of a single call, and no program depends on
+their number. The function itself is never batched.
 
-*What it depends on* besides the vector is constant: a derivative in that would be a
-second one, and is refused.
+*Constants* are all inputs besides the vector: a derivative in these would be a second
+one, and is refused.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,7 +28,7 @@ from jaxgrow.equilibrium.transformations import SECOND_DERIVATIVE, VALUES_WITHHE
 
 
 Direction: TypeAlias = Callable[[PyTree, Float[Array, " k"]], Float[Array, " l"]]
-"""(what it depends on, vector) to vector, linear in the vector."""
+"""Function of (constants, vector) to vector, linear in the vector."""
 
 
 def linear_map(
@@ -38,12 +38,12 @@ def linear_map(
     vector: Float[Array, " k"],
     rows: int,
 ) -> Float[Array, " l"]:
-    """The image of a vector, with the transpose as its derivative rule in reverse mode.
+    """Apply a linear map, with the given transpose for reverse mode.
 
     Args:
         forward: the map; jitted, and the same object at every call.
-        backward: its transpose; likewise.
-        constants: what both depend on.
+        backward: its transpose; jitted, and the same object at every call.
+        constants: further inputs of both.
         vector: to be mapped.
         rows: length of the image.
 
@@ -73,7 +73,7 @@ def _impl(
 
 
 def _one_by_one(forward: Direction, constants: PyTree, vector: Array) -> Array:
-    """Images of all vectors along the last axis."""
+    """Map all vectors along the last axis, one at a time."""
     if vector.ndim == 1:
         return forward(constants, vector)
     images = [_one_by_one(forward, constants, row) for row in vector]
@@ -88,7 +88,7 @@ def _abstract(vector: Any, *_: Any, shape: tuple[int, ...], **__: Any) -> Shaped
 def _staged(
     vector: Array, *leaves: Array, forward: Direction, structure: Any, **_: Any
 ) -> Array:
-    """The same within a program, as a loop."""
+    """Map all vectors within a program, as a loop."""
     each = partial(forward, jax.tree.unflatten(structure, leaves))
     for _axis in range(vector.ndim - 1):
         each = partial(jax.lax.map, each)

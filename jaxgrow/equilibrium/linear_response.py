@@ -1,4 +1,4 @@
-"""Compliance: what small forces do to an equilibrium, for the host."""
+"""Linear response (compliance) of an equilibrium to small forces."""
 
 from typing import NamedTuple
 
@@ -29,9 +29,9 @@ class LinearResponse(NamedTuple):
             the result is not CONVERGED.
         result: CONVERGED, SINGULAR (not a strict minimum) or NOT_SOLVED.
         residual: |H δx − f| / |f|, dimensionless.
-        products: Hessian products that it took, each as dear as two force evaluations.
+        products: number of Hessian products; each costs about two force evaluations.
         softest: upper bound of the lowest eigenvalue of H, null modes apart, in
-            F(0)/r0; infinite where nothing has a stiffness.
+            F(0)/r0; infinite if nothing has a stiffness.
         null_modes: rigid modes, and three for each particle that touches nothing.
     """
 
@@ -58,36 +58,36 @@ def linear_response(
     lists: Lists | None = None,
     terms: ExtraTerms = (),
 ) -> LinearResponse:
-    r"""How an equilibrium moves when small forces act on it.
+    r"""Compute the displacement of an equilibrium under small forces.
 
     .. math:: H\, \delta x = f, \qquad H = \nabla^2 E(x^*)
 
-    on what may move, with the parts of :math:`f` and :math:`\delta x` in the null modes
-    of H left out (`jaxgrow.equilibrium.hessian_solve`). This is also what the
-    derivatives of `relax` solve; where they are NaN, the result here says why.
+    on the free nodes, with the components of :math:`f` and :math:`\delta x` in the null
+    modes of H removed (`jaxgrow.equilibrium.hessian_solve`). The derivatives of `relax`
+    solve the same system; where they are NaN, the result here says why.
 
     Args:
         particles: at equilibrium (`relax` them first, to 1e-10); None for a membrane
             alone.
-        membrane: likewise; None for particles alone.
-        forces: on every particle and vertex, padding included, in F(0). What acts on
-            held, pinned and padding rows has no effect.
+        membrane: at equilibrium; None for particles alone.
+        forces: on every particle and vertex, padding included, in F(0). Those on held,
+            pinned and padding rows have no effect.
         parameters: of the energy; the default `Parameters()`.
         load: external force on every vertex under which it is an equilibrium, (m, 3),
-            in F(0). It has no stiffness, but where nothing is pinned it keeps the
-            direction.
-        lists: of the relaxation, to spare their allocation. They are needed where the
-            surface collides, or no collision is felt.
-        terms: energies besides those of jaxgrow, as of the relaxation.
+            in F(0). It has no stiffness, but if nothing is pinned it fixes the
+            orientation.
+        lists: of the relaxation, to save their allocation. Without them collisions are
+            ignored, so a surface that collides requires them.
+        terms: additional energies, as in the relaxation.
 
     Returns:
-        The displacement in r0, whether it can be trusted, and what it took.
+        The displacement in r0, whether it is valid, and the cost.
 
     Raises:
-        ValueError: there are neither particles nor a membrane, an array has another
-            shape or other numbers than it must, a vertex has moved since the collisions
-            were listed, a derivative is being taken, values are withheld, or JAX
-            computes in 32 bits and the positions have 64.
+        ValueError: there are neither particles nor a membrane, an array has a wrong
+            shape or kind of numbers, a vertex has moved since the collisions were
+            listed, a derivative is being taken, values are withheld, or JAX computes in
+            32 bits and the positions have 64.
     """
     if particles is None and membrane is None:
         raise ValueError("nothing responds: give particles, a membrane, or both.")
@@ -121,7 +121,7 @@ def linear_response(
 
 
 def _lists(problem: Problem, lists: Lists | None) -> Lists:
-    """Lists that are valid for where the problem is.
+    """Return lists that are valid at the problem's nodes.
 
     Raises:
         ValueError: those of collisions are not.

@@ -1,4 +1,4 @@
-"""The lists of a problem: who is near whom, and which of them still hold."""
+"""Lists of a problem: neighbours, contacts, collisions, and validity."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,10 +11,10 @@ from jaxgrow.state import Particles
 
 
 class Kept(eqx.Module):
-    """Pair forces, and what they are of.
+    """Cached pair forces, with their particles and parameters.
 
     Attributes:
-        particles: which felt them.
+        particles: on which they act.
         law: parameters of the pair energy.
         force: in F(0).
     """
@@ -25,16 +25,16 @@ class Kept(eqx.Module):
 
 
 class Lists(eqx.Module):
-    """The lists of a problem, each only where it has the term.
+    """Lists of a problem, each only if it has the term.
 
     Attributes:
         neighbors: of particles.
         contacts: pairs of a particle and a triangle that the energy is computed from.
-        candidates: more of them, in which those are found again.
+        candidates: wide list from which the contacts are filtered.
         collisions: of the membrane, that the energy is computed from.
-        encounters: more of them, listed by the host, in which those are found again;
-            None where the host's are the energy's.
-        kept: pair forces that were evaluated last, where they are kept.
+        encounters: wide list made by the host, from which the collisions are filtered;
+            None if the energy uses the host's list itself.
+        kept: cached pair forces, if any.
     """
 
     neighbors: nb.Neighbors | None
@@ -46,7 +46,7 @@ class Lists(eqx.Module):
 
     @property
     def overflow(self) -> Bool[Array, ""]:
-        """Whether a list did not fit."""
+        """Whether a list overflowed."""
         full = jnp.zeros((), bool)
         if self.neighbors is not None:
             full |= self.neighbors.overflow
@@ -65,7 +65,7 @@ class Lists(eqx.Module):
 
     @property
     def stale(self) -> Bool[Array, ""]:
-        """Whether the host must list the collisions anew before the next step."""
+        """Whether the host must rebuild the collision list before the next step."""
         if self.of_host is None:
             return jnp.zeros((), bool)
         return self.of_host.stale
@@ -73,23 +73,23 @@ class Lists(eqx.Module):
     def with_collisions(
         self, collisions: Collisions | None, encounters: Collisions | None = None
     ) -> "Lists":
-        """The same lists with others of the collisions."""
+        """Return the same lists with other collision lists."""
         known = self.neighbors, self.contacts, self.candidates
         return Lists(*known, collisions, encounters)
 
     def with_stale(self, stale: Bool[Array, ""]) -> "Lists":
-        """The same lists; whether the host must list the collisions anew."""
+        """Mark whether the host must rebuild the collision list."""
         if self.of_host is None:
             return self
         return eqx.tree_at(lambda lists: lists.of_host.stale, self, stale)
 
 
 class Outgrown(eqx.Module):
-    """Which lists do not hold where the nodes are.
+    """Flags of the lists that are not valid at the nodes.
 
     Attributes:
-        neighbors, contacts, collisions: what is listed anew on the device.
-        of_host: the collisions that the host must list anew.
+        neighbors, contacts, collisions: lists that the device rebuilds.
+        of_host: the collision list that the host must rebuild.
     """
 
     neighbors: Bool[Array, ""]
@@ -99,10 +99,10 @@ class Outgrown(eqx.Module):
 
     @classmethod
     def nothing(cls) -> "Outgrown":
-        """All of them hold."""
+        """Return flags for which all lists are valid."""
         no = jnp.zeros((), bool)
         return cls(no, no, no, no)
 
     def any(self) -> Bool[Array, ""]:
-        """Whether one does not."""
+        """Return whether some list is not valid."""
         return self.neighbors | self.contacts | self.collisions | self.of_host

@@ -1,4 +1,4 @@
-"""The terms of a problem by loops: which there are, their addresses and buffers.
+"""Compiled loops of a problem's terms: addresses and buffers.
 
 Addresses are those of this process. They are arguments of a compiled program, never
 constants of it, as programs are kept on disk.
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 
 AWAY = 1e9
-"""Coordinate, in r0, at which loops find dead particles."""
+"""Coordinate, in r0, at which dead particles are passed to loops."""
 
 
 class Loops(eqx.Module):
@@ -54,8 +54,9 @@ class Loops(eqx.Module):
     Attributes:
         names: of the terms, in their order.
         force: addresses of the loops of forces.
-        product: of those of Hessian products; None until they are asked for.
-        blocks: of those of the Hessian's diagonal blocks; likewise.
+        product: addresses of the loops of Hessian products; None unless requested.
+        blocks: addresses of the loops of the Hessian's diagonal blocks; None unless
+            requested.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -65,18 +66,18 @@ class Loops(eqx.Module):
 
 
 class Wired(NamedTuple):
-    """A term as its root takes it: its name, and its buffers in their order."""
+    """Term as its root takes it: its name, and its buffers in their order."""
 
     name: str
     buffers: tuple[Array, ...]
 
 
 class PrintingWarning(UserWarning):
-    """A term that cannot be printed as a loop, so that XLA evaluates it."""
+    """Warning of a term that cannot be printed as a loop; XLA evaluates it."""
 
 
 def wired(problem: "Problem", lists: "Lists") -> list[Wired]:
-    """The terms that a problem has with these lists, in the order of their roots."""
+    """List the terms that a problem has with these lists, in root order."""
     terms: list[Wired] = []
     particles, membrane = problem.particles, problem.membrane
     if lists.neighbors is not None and particles is not None:
@@ -107,14 +108,14 @@ def wired(problem: "Problem", lists: "Lists") -> list[Wired]:
 
 
 def _numbers(problem: "Problem", term: Any, *first: Any) -> Float[Array, " p"]:
-    """Numbers of the geometry, then parameters of the term, then its own."""
+    """Stack the numbers of a term: geometry, parameters, then its own."""
     by_name = [getattr(problem.parameters, name) for name in term.parameters]
     numbers = [*first, *by_name, *jax.tree.leaves(term)]
     return jnp.stack([jnp.asarray(number, problem.dtype) for number in numbers])
 
 
 class _Key(NamedTuple):
-    """What a root depends on: a term, and how many rest data its elements have."""
+    """Key of a root: a term, and the number of rest data of its elements."""
 
     term: Any
     rest: int
@@ -125,7 +126,7 @@ class _Key(NamedTuple):
 
 
 def _keys(problem: "Problem", lists: "Lists") -> tuple[_Key, ...]:
-    """The terms of `wired`, without evaluating anything."""
+    """Return the keys of the terms of `wired`, without evaluating anything."""
     particles, membrane = problem.particles, problem.membrane
     keys = []
     if lists.neighbors is not None and particles is not None:
@@ -146,7 +147,10 @@ def _keys(problem: "Problem", lists: "Lists") -> tuple[_Key, ...]:
 
 
 def _shape_of(term: Term) -> Term:
-    """The term with 0 for its own parameters, which are arguments of its root."""
+    """Return the term with 0 for its own parameters.
+
+    These are arguments of its root.
+    """
     return jax.tree.map(lambda _: 0.0, term)
 
 
@@ -155,7 +159,7 @@ _MAKERS = {"pair": pair_root, "contact": contact_root, "collision": collision_ro
 
 @functools.cache
 def root_module(key: _Key, kind: Kind) -> ModuleType | None:
-    """The compiled root of a term; None, with a warning, if it cannot be printed."""
+    """Load the compiled root of a term; None, with a warning, if unprintable."""
     term = key.term
     make = functools.partial(element_root, term, key.rest)
     if not isinstance(term, Term):
@@ -175,7 +179,7 @@ def root_module(key: _Key, kind: Kind) -> ModuleType | None:
 
 
 def pair_module() -> ModuleType | None:
-    """The compiled root of pairs of particles, where loops can be used."""
+    """Load the compiled root of pairs, if loops are available."""
     return root_module(_Key(PAIRS, 0), "force") if registered("terms") else None
 
 
@@ -205,7 +209,7 @@ def handler(name: str) -> str:
 
 
 def may_loop(problem: "Problem") -> bool:
-    """Whether loops can be used for a problem: on a processor, in 64 bits."""
+    """Return whether loops can be used: on a CPU, in 64 bits."""
     if not (problem.dtype == jnp.float64 and registered("terms")):
         return False
     nodes = problem.particles or problem.membrane
@@ -248,14 +252,14 @@ def evaluate(
 
     Args:
         problem: with loops.
-        nodes: where it is.
+        nodes: positions to evaluate at.
         lists: valid there.
         along: a displacement; None for forces.
 
     Returns:
-        Forces in F(0), or the Hessian's product with the displacement, and distances,
-        in r0, to what each node must not cross (infinite where nothing is near; only
-        with forces).
+        Forces in F(0), or the Hessian's product with the displacement, and the
+        clearance of each node, in r0 (infinite where nothing is near; only with
+        forces).
     """
     loops, at = problem.loops, problem.at(nodes)
     assert loops is not None
@@ -267,9 +271,9 @@ def evaluate(
 
 
 def blocks(problem: "Problem", lists: "Lists") -> Float[Array, "q 9"]:
-    """Return about the 3 x 3 diagonal blocks of the Hessian, of all nodes in rows.
+    """Compute approximate 3 x 3 diagonal blocks of the Hessian, in rows.
 
-    They are exact where a term is a sum over pairs or elements, in F(0)/r0.
+    They are exact for terms that are sums over pairs or elements, in F(0)/r0.
 
     Args:
         problem: with loops of products.
@@ -286,7 +290,7 @@ def _run(
     along: Nodes | None = None,
     columns: int = 3,
 ) -> Sequence[Array]:
-    """What loops at these addresses add up for all nodes, and the distances."""
+    """Run the loops at these addresses; return their sums and the clearances."""
     assert addresses is not None
     alive, place = placed(problem, lists)
     moved = jnp.zeros((0, 3), problem.dtype)
@@ -304,7 +308,7 @@ def _run(
 
 
 class Solved(NamedTuple):
-    """What the loop of conjugate gradients found, see `jaxgrow.kernels.solve`."""
+    """Outcome of the loop of conjugate gradients; see `jaxgrow.kernels.solve`."""
 
     displacement: Nodes
     numbers: Float[Array, "2"]
@@ -326,10 +330,10 @@ def solve(
         problem: at the equilibrium, with loops of all terms' products.
         lists: valid there.
         force: on every node.
-        limits: residual, over the force, at which to stop; most products; curvature,
-            over the largest met, below which a direction is a null mode.
+        limits: relative residual at which to stop; most products; curvature, relative
+            to the largest met, below which a direction is a null mode.
         uneven: a force without symmetry.
-        loose: whether the whole may shift, and turn.
+        loose: whether the whole may translate, and rotate.
     """
     assert problem.loops is not None
     assert problem.loops.product is not None
@@ -355,9 +359,10 @@ def solve(
 
 
 def _of_free(problem: "Problem", lists: "Lists") -> "Lists":
-    """Lists without the neighbours of held particles, on which no product is needed.
+    """Remove the neighbours of held particles, on which no product is needed.
 
-    They are half of all in a patch, and pairs half of the time of a product.
+    They are half of all entries in a patch, and pairs take half of the time of a
+    product.
     """
     particles = problem.particles
     if particles is None or lists.neighbors is None:
@@ -371,7 +376,7 @@ def _of_free(problem: "Problem", lists: "Lists") -> "Lists":
 def _buffers(
     problem: "Problem", lists: "Lists", first: int
 ) -> tuple[Int[Array, "t b"], list[Array]]:
-    """Wiring and buffers of the terms with loops, as arguments from a number on."""
+    """Return wiring and buffers of the looped terms, numbered from `first`."""
     assert problem.loops is not None
     terms = [t for t in wired(problem, lists) if t.name in problem.loops.names]
     buffers = [buffer for term in terms for buffer in term.buffers]
@@ -383,7 +388,7 @@ def _buffers(
 def placed(
     problem: "Problem", lists: "Lists"
 ) -> tuple[Bool[Array, " n"], Float[Array, "q 3"]]:
-    """Which particles are alive, and all nodes: dead ones away, static ones behind."""
+    """Return liveness, and all nodes: dead ones moved away, static ones last."""
     rows, alive = [], jnp.zeros(0, bool)
     if problem.particles is not None:
         alive = problem.particles.alive
@@ -396,7 +401,7 @@ def placed(
 
 
 def _split(problem: "Problem", rows: Float[Array, "q *_"]) -> Nodes:
-    """What belongs to particles, and to vertices."""
+    """Split rows into those of particles and of vertices."""
     particles, membrane, count = problem.particles, problem.membrane, 0
     if particles is not None:
         count = particles.position.shape[0]
@@ -407,7 +412,7 @@ def _split(problem: "Problem", rows: Float[Array, "q *_"]) -> Nodes:
 
 
 def make_wiring(buffers: Sequence[Sequence[int]]) -> Int[np.ndarray, "t b"]:
-    """Return the numbers of the arguments that are buffers of each term, then -1."""
+    """Return the argument numbers of each term's buffers, padded by -1."""
     most = max(map(len, buffers), default=0)
     wiring = np.full((len(buffers), most), -1, np.int64)
     for row, numbers in zip(wiring, buffers, strict=True):

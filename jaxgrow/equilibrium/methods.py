@@ -1,4 +1,4 @@
-"""The methods of a relaxation, and how one is run on lists that may overflow."""
+"""Relaxation methods, and the driver that reallocates overflowing lists."""
 
 from collections.abc import Callable, Iterator
 from typing import Any, get_args, Literal, NamedTuple
@@ -36,18 +36,18 @@ NEAR = 1e-4
 """Residual, in F(0), from which Newton's method converges without help."""
 
 POLISHED = 1e-12
-"""Tolerance below which Newton's method ends a relaxation, in F(0): down to there
-L-BFGS takes a quarter of the time, and below it meets the rounding of the forces."""
+"""Tolerance below which Newton's method ends a relaxation, in F(0): down to it L-BFGS
+takes a quarter of the time, and below it stalls at the rounding of the forces."""
 
 BEYOND = 0.01
-"""Share of a tolerance down to which is relaxed where derivatives may be taken."""
+"""Share of the tolerance to relax to where derivatives may be taken."""
 
 TIGHT = 1e-6
-"""Tolerance below which Newton's method goes on where L-BFGS does not converge."""
+"""Tolerance below which Newton's method follows if L-BFGS does not converge."""
 
 
 _descend = eqx.filter_jit(descend)
-# everything is an array there, and jax's own call takes a tenth of the time
+# all arguments are arrays, and the call of jax.jit takes a tenth of the time
 _descend_by_loop = jax.jit(descend_by_loop)
 _polish = eqx.filter_jit(polish)
 _sweep = eqx.filter_jit(sweep)
@@ -56,13 +56,13 @@ _blank_memory = eqx.filter_jit(blank_memory)
 
 
 class Stage(NamedTuple):
-    """A method.
+    """Method with its tolerance.
 
     Attributes:
-        name: of it.
-        minimiser: None for a method that is no `Minimiser`.
-        tolerance: how far it goes.
-        polishes: whether it comes only after a method that converged.
+        name: of the method.
+        minimiser: None for a method that is not a `Minimiser`.
+        tolerance: largest force at its end, in F(0).
+        polishes: whether it runs only after a method that came near an equilibrium.
     """
 
     name: str
@@ -72,7 +72,7 @@ class Stage(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """Where a method stops, and its longest step."""
+    """Tolerance, most steps and longest step of a method."""
 
     tolerance: float
     max_steps: int
@@ -80,7 +80,7 @@ class Limits(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Where a method ended."""
+    """Outcome of a method."""
 
     nodes: Nodes
     force: Nodes
@@ -93,26 +93,26 @@ class Found(NamedTuple):
 
 
 def exact_tolerance(dtype: DTypeLike = jnp.float64) -> float:
-    """Tolerance of an equilibrium whose derivative is taken, in F(0)."""
+    """Return the tolerance for an equilibrium to differentiate, in F(0)."""
     return 1e-10 if jnp.finfo(dtype).bits > 32 else 1e-5
 
 
 def goal_of(tolerance: float, dtype: DTypeLike) -> float:
-    """How far to relax for a tolerance: beyond it where derivatives may be taken."""
+    """Return the force to relax to: below the tolerance for derivatives."""
     if jnp.finfo(dtype).bits <= 32 or tolerance > exact_tolerance(dtype):
         return tolerance
     return min(tolerance, max(BEYOND * tolerance, POLISHED))
 
 
 def stages_of(method: str, tolerance: float, parameters: Parameters) -> Iterator[Stage]:
-    """The methods to try in turn, until one reaches the tolerance.
+    """Yield the methods to try in turn, until one reaches the tolerance.
 
     Raises:
         ValueError: the method is unknown.
     """
     if method not in (known := get_args(Method)):
         raise ValueError(f"method is {method!r}; it must be one of {list(known)}.")
-    # one after the other, as each is needed: most relaxations end with the first
+    # lazily, as most relaxations end with the first
     if method == "local":
         yield Stage("local", None, max(tolerance, NEAR))
     lbfgs = Stage("lbfgs", LBFGS(), tolerance)
@@ -142,7 +142,7 @@ def run_stage(
     collide: CollisionLister | None,
     observe: Callable[[Nodes], None] | None,
 ) -> Found:
-    """One method; every list that overflows is allocated anew and larger."""
+    """Run one method; reallocate every list that overflows, larger."""
     newton = stage.name == "newton"
     problem = with_loops(problem, lists, products=newton)
     run = _path(problem, lists, stage, limits)
@@ -154,7 +154,7 @@ def run_stage(
         lists = prepared(problem, lists, collide, refresh=run.refreshes)
         problem = with_loops(problem, lists, products=newton)
         left = limits.max_steps - steps
-        # newton's is not observed step by step
+        # Newton's method is not observed step by step
         single = observe is not None and not newton
         outcome = run(problem, lists, 1 if single else left, memory)
         steps, rebuilds = steps + outcome.steps, rebuilds + outcome.rebuilds
@@ -185,11 +185,11 @@ def run_stage(
 
 
 class _Outcome(NamedTuple):
-    """Where a program ended.
+    """Outcome of one call of a compiled program.
 
     Attributes:
         nodes, force, lists, memory: as in `Descent`.
-        result, residual, steps, rebuilds: likewise, on the host.
+        result, residual, steps, rebuilds: as in `Descent`, on the host.
     """
 
     nodes: Nodes
@@ -203,7 +203,7 @@ class _Outcome(NamedTuple):
 
 
 class _Looped(NamedTuple):
-    """L-BFGS in one loop; it makes its lists itself, but for those of the host."""
+    """Runner of L-BFGS in one loop, which rebuilds the device's lists itself."""
 
     minimiser: LBFGS
     limits: Limits
@@ -221,7 +221,7 @@ class _Looped(NamedTuple):
 
 
 class _Compiled:
-    """A method that XLA compiles."""
+    """Runner of a method that XLA compiles."""
 
     refreshes = True
 
@@ -252,7 +252,7 @@ class _Compiled:
 def _path(
     problem: Problem, lists: Lists, stage: Stage, limits: Limits
 ) -> _Looped | _Compiled:
-    """What runs a method for this problem; of L-BFGS it is noted."""
+    """Choose the runner of a method for this problem; count L-BFGS descents."""
     if isinstance(stage.minimiser, LBFGS):
         why_not, terms = why_not_looped(problem), how_terms_run(problem, lists)
         without = [name for name, how in terms.items() if how != "loop"]
@@ -265,7 +265,7 @@ def _path(
 
 
 def _outcome(end: Any, memory: PyTree, steps: int, rebuilds: int) -> _Outcome:
-    """What a program returned, with its numbers on the host."""
+    """Convert a program's outcome, with its numbers on the host."""
     result, residual = Result.of(end.code), float(end.residual)
     return _Outcome(
         end.nodes, end.force, end.lists, memory, result, residual, steps, rebuilds

@@ -1,8 +1,8 @@
-"""The descent by L-BFGS as one compiled loop (`jaxgrow.kernels.steps`).
+"""Descent by L-BFGS as one compiled loop (`jaxgrow.kernels.steps`).
 
-`jaxgrow.equilibrium.descent` on a processor is some dozens of small programs a step,
-with arrays between them, and as many more wherever lists are made anew. The loop makes
-the same steps of the same forces with lists of the same pairs, in one call.
+On a CPU `jaxgrow.equilibrium.descent` runs some dozens of small programs per step, with
+arrays between them, and as many more whenever lists are rebuilt. The loop makes the
+same steps of the same forces with lists of the same pairs, in one call.
 """
 
 from typing import NamedTuple
@@ -33,7 +33,7 @@ from jaxgrow.state import Nodes
 
 
 class _Changed(NamedTuple):
-    """What the loop changes, see `jaxgrow.kernels.layout`."""
+    """Arrays that the loop changes; see `jaxgrow.kernels.layout`."""
 
     wide: layout.Lists
     near: layout.Lists
@@ -50,7 +50,7 @@ def descend_by_loop(
     largest: Float[Array, ""],
     memory: LBFGSMemory | None = None,
 ) -> Descent:
-    """As `jaxgrow.equilibrium.descent.descend`; lists need not hold for the start."""
+    """Run `descent.descend` as one loop; lists may be invalid at the start."""
     particles, vertices = _both(problem.nodes())
     blank = jnp.zeros((particles.shape[0] + vertices.shape[0], 3))
     known = minimiser.init(blank) if memory is None else memory
@@ -92,14 +92,14 @@ def descend_by_loop(
 
 
 def _both(nodes: Nodes) -> tuple[Float[Array, "n 3"], Float[Array, "m 3"]]:
-    """Particles and vertices, of which there may be none."""
+    """Return particles and vertices; an array without rows if there are none."""
     none = jnp.zeros((0, 3))
     particles = none if nodes.particles is None else nodes.particles
     return particles, none if nodes.vertices is None else nodes.vertices
 
 
 def _nodes(problem: Problem, particles: Array, vertices: Array) -> Nodes:
-    """The same as nodes of the problem."""
+    """Build nodes of the problem from particles and vertices."""
     return Nodes(
         None if problem.particles is None else particles,
         None if problem.membrane is None else vertices,
@@ -159,7 +159,7 @@ def _bounds(
 
 
 def _wide(problem: Problem, lists: Lists) -> layout.Lists:
-    """The wide lists; a term that the problem has not got has no entries."""
+    """Return the wide lists; empty for terms that the problem does not have."""
     particles, _ = _both(problem.nodes())
     entries, at = jnp.zeros((particles.shape[0], 0), jnp.int32), particles
     if lists.neighbors is not None:
@@ -168,7 +168,7 @@ def _wide(problem: Problem, lists: Lists) -> layout.Lists:
 
 
 def _near(problem: Problem, lists: Lists) -> layout.Lists:
-    """The near ones, likewise."""
+    """Return the near lists; empty for terms that the problem does not have."""
     particles, _ = _both(problem.nodes())
     entries, at = jnp.zeros((0, particles.shape[0]), jnp.int32), particles
     if lists.neighbors is not None:
@@ -236,7 +236,7 @@ def _call(
 
 
 def _lists_after(lists: Lists, end: _Changed) -> Lists:
-    """The lists as the loop left them."""
+    """Return the lists as the loop left them."""
     near, wide, full = end.near, end.wide, end.now.counts > 0
     neighbors, collisions = lists.neighbors, lists.collisions
     contacts, candidates = lists.contacts, lists.candidates

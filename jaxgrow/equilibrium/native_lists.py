@@ -1,6 +1,6 @@
-"""Lists of contacts and collisions made by loops that the host calls.
+"""Contact and collision lists, built by loops that the host calls.
 
-By XLA every size of a list is a program more, and these are dear to load.
+With XLA every size of a list is another program, and loading these is expensive.
 """
 
 from collections.abc import Callable
@@ -26,16 +26,16 @@ from jaxgrow.transfer.device import get, get_number, put
 
 
 LEAST_CONTACTS, LEAST_CANDIDATES, LEAST_COLLISIONS = 1024, 4096, 256
-"""Room of lists to begin with."""
+"""Initial capacities of lists."""
 
 
 def is_looped(problem: Problem) -> bool:
-    """Whether there is a loop for this problem: on a processor, in 64 bits."""
+    """Return whether there is a loop for this problem: on a CPU, in 64 bits."""
     return why_not_looped(problem) is None
 
 
 def why_not_looped(problem: Problem) -> str | None:
-    """Tell why there is no loop for this problem; None where there is one."""
+    """Return why there is no loop for this problem; None if there is one."""
     if problem.dtype != jnp.float64:
         return f"numbers are {problem.dtype}, and loops know 64 bits only"
     if not registered("descent"):
@@ -53,10 +53,10 @@ def why_not_looped(problem: Problem) -> str | None:
 def fitting(
     make: Callable[[int], Contacts], size: int, before: Contacts | None, least: int
 ) -> Contacts:
-    """A list with room for `size`, or as much more as it needs.
+    """Build a list with capacity for `size`, enlarged until it fits.
 
-    Where the one before was too small, for positions that were given up since, it has
-    more room than that in any case.
+    If the list before overflowed, at positions that were discarded since, the capacity
+    is larger than its.
     """
     if before is not None:
         least = before.particle.shape[0]
@@ -68,7 +68,7 @@ def fitting(
 
 
 def listed_by_loops(problem: Problem, before: Lists) -> tuple[Contacts, Contacts]:
-    """The wide list of contacts and the near one, with room as of the lists before."""
+    """Build the wide and the near contact list, no smaller than before."""
     particles, membrane = problem.both()
     kernel, radius = loops("anew"), get_number(reach(problem.parameters))
     position, vertices = _own(particles.position), _own(membrane.vertices)
@@ -78,7 +78,7 @@ def listed_by_loops(problem: Problem, before: Lists) -> tuple[Contacts, Contacts
     def listed(room: int) -> Contacts:
         return _contacts(problem, *kernel.contacts(*given, room))
 
-    # no counting where there probably is room for all of them
+    # no counting if the capacity before is probably sufficient
     count = 0 if before.candidates is not None else kernel.contacts(*given, 0)[1]
     candidates = fitting(listed, count, before.candidates, LEAST_CANDIDATES)
     wide = layout.Touching(
@@ -95,7 +95,7 @@ def listed_by_loops(problem: Problem, before: Lists) -> tuple[Contacts, Contacts
 
 
 def collisions_by_loops(problem: Problem, wide: Collisions, room: int) -> Collisions:
-    """As `Problem.collisions`."""
+    """Build the near collision list, as `Problem.collisions` does."""
     membrane = problem.membrane
     assert membrane is not None
     points = _own(jnp.concatenate([membrane.vertices, wide.still]))
@@ -120,7 +120,7 @@ def collisions_by_loops(problem: Problem, wide: Collisions, room: int) -> Collis
 
 
 def _contacts(problem: Problem, found: layout.Touching, count: int) -> Contacts:
-    """A list on the device, of where the problem is."""
+    """Put a contact list for the problem's nodes on the device."""
     particles, membrane = problem.both()
     return Contacts(
         *(put(found.particle), put(found.face)),
@@ -131,6 +131,6 @@ def _contacts(problem: Problem, found: layout.Touching, count: int) -> Contacts:
 
 
 def _own(array: Array) -> layout.Array:
-    """A copy that a loop takes as its own, flags as bytes."""
+    """Copy an array for a loop, flags as bytes."""
     rows = get(array).copy()
     return rows.view("uint8") if rows.dtype == bool else rows

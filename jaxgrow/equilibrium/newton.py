@@ -1,10 +1,10 @@
-"""Newton's method from near an equilibrium, to the rounding of the forces.
+"""Newton's method near an equilibrium, to the rounding of the forces.
 
 It converges quadratically down to rounding, where L-BFGS stalls. It is not cheaper:
 from a residual of 1e-4 F(0) it takes about as many Hessian products as L-BFGS takes
 steps, and a product costs about two force evaluations. Far from an equilibrium the
-Hessian has negative curvature: this method then gives up, with the best positions it
-had (`jaxgrow.equilibrium.trust_region` goes on).
+Hessian has negative curvature: this method then stops at the best positions found
+(`jaxgrow.equilibrium.trust_region` handles that case).
 """
 
 import equinox as eqx
@@ -24,7 +24,7 @@ MAX_ITERATIONS = 20
 """Bound on the iterations; four are usual."""
 
 _HALVINGS = 6
-"""How often a displacement that does not lessen the largest force is halved."""
+"""Number of halvings of a displacement that does not reduce the largest force."""
 
 
 class Polished(eqx.Module):
@@ -32,10 +32,10 @@ class Polished(eqx.Module):
 
     Attributes:
         nodes: the best positions found; the lists are valid for them.
-        force: there, on nodes that may not move too.
+        force: there, on all nodes.
         lists: the current lists.
         residual: largest force on a free node, in F(0).
-        products: Hessian products that it took.
+        products: number of Hessian products.
         code: of the `Result`; STEP_LIMIT if the tolerance was not reached.
     """
 
@@ -53,9 +53,9 @@ def polish(
     tolerance: Float[Array, ""],
     largest: Float[Array, ""],
 ) -> Polished:
-    """Solve H δx = F and move by δx, again and again.
+    """Iterate Newton's method: solve H δx = F and move by δx.
 
-    The linear systems are solved only as well as the next iterate can be (inexact
+    The linear systems are solved only as exactly as the next iterate needs (inexact
     Newton, Dembo et al. 1982): to the residual itself, or to the tolerance. No node
     moves farther than the bound of the problem; all move by the same fraction.
 
@@ -111,7 +111,7 @@ def polish(
             scale, _, halvings = tried
             return scale / 2, attempt(scale / 2), halvings + 1
 
-        # before the first attempt, so that it is compiled once
+        # state before the first attempt, so that it is compiled once
         nowhere = (
             best.nodes,
             best.lists,

@@ -1,4 +1,4 @@
-"""What is minimised: the sum of the energy terms that a scene has."""
+"""Minimisation problem: the sum of the energy terms that a scene has."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, cast, NamedTuple, TypeAlias
@@ -37,31 +37,31 @@ from jaxgrow.state import Membrane, Nodes, Particles, replaced
 
 
 CONTACT_SKIN = 0.15
-"""Extra radius of the contact list, in r0: it holds until the farthest moves of a
+"""Extra radius of the contact list, in r0: it is valid until the farthest moves of a
 particle and of a vertex exceed it together."""
 
 CANDIDATE_SKIN = 0.9
-"""Extra radius of the list that the contact list is found in."""
+"""Extra radius of the wide list that the contact list is filtered from."""
 
 
 LARGEST_STEP = 0.1
 """Longest displacement of a node in one step, in r0."""
 
 LEAST_LISTED = 2.5 * LARGEST_STEP
-"""Distance, in r0, up to which parts of the membrane are listed in any case: what is
+"""Distance, in r0, up to which parts of the membrane are always listed: parts that are
 not listed must not meet within one step of both."""
 
 COLLISION_SKIN = 0.3
-"""Extra distance of the collision list, in r0: it holds until the farthest moves of two
-vertices exceed it together."""
+"""Extra distance of the collision list, in r0: it is valid until the farthest moves of
+two vertices exceed it together."""
 
 
 class Distances(NamedTuple):
-    """Exact distances of what is listed, in r0.
+    """Exact distances of the listed pairs, in r0.
 
     Attributes:
-        contact: of every particle and triangle; None without that term.
-        collision: of a vertex and a triangle, and of two edges; likewise.
+        contact: of particle-triangle pairs; None without that term.
+        collision: of vertex-triangle and edge-edge pairs; None without that term.
     """
 
     contact: Float[Array, " p"] | None
@@ -69,15 +69,15 @@ class Distances(NamedTuple):
 
 
 EnergyFunction: TypeAlias = Callable[[Particles | None, Membrane | None], Array]
-"""An energy of particles and membrane, in F(0) r0."""
+"""Energy of particles and membrane, in F(0) r0."""
 
 
 ExtraTerms: TypeAlias = Sequence[Term | EnergyFunction]
-"""Energies besides those of jaxgrow."""
+"""Additional energies."""
 
 
 class _Function(eqx.Module):
-    """A plain function as an energy: another object is another program."""
+    """Plain function as an energy; each object is another program."""
 
     function: EnergyFunction = eqx.field(static=True)
 
@@ -91,18 +91,18 @@ class _Function(eqx.Module):
 
 
 def _as_module(function: EnergyFunction) -> EnergyFunction:
-    """A function whose arrays, if it has any, are arguments of a program."""
+    """Wrap a function; its arrays, if any, become arguments of a program."""
     own = function if isinstance(function, eqx.Module) else _Function(function)
     return cast(EnergyFunction, own)
 
 
 def _acts(modulus: Scalar) -> bool:
-    """Whether a term is there: its modulus is not 0, or its derivative is taken."""
+    """Return whether a modulus is not 0, or is being differentiated."""
     return isinstance(modulus, Tracer) or float(modulus) != 0
 
 
 class Problem(eqx.Module):
-    """An energy of particle positions and membrane vertices, and what may move.
+    """Energy of particle positions and membrane vertices, with free nodes.
 
     Attributes:
         particles: None for a membrane alone.
@@ -111,7 +111,7 @@ class Problem(eqx.Module):
         load: external force on every vertex, in F(0), or None.
         terms: energies that are sums over elements.
         functions: further energies, of particles and membrane, in F(0) r0.
-        loops: of the terms, where a processor evaluates them; see `with_loops`.
+        loops: of the terms, if a CPU evaluates them; see `with_loops`.
     """
 
     particles: Particles | None
@@ -131,16 +131,15 @@ class Problem(eqx.Module):
         load: Float[Array, "m 3"] | None = None,
         extra: ExtraTerms = (),
     ) -> "Problem":
-        """A problem whose parameters, by default `Parameters()`, are arrays.
+        """Build a problem; its parameters become arrays.
 
-        A Python float would be a constant of the program, compiled for each value.
-        Terms of the membrane whose modulus is 0, and carries no derivative, are left
-        out.
+        A Python float would be a constant, and each value another compilation. Terms of
+        the membrane whose modulus is 0, and carries no derivative, are left out.
 
         Args:
             particles: or None for a membrane alone.
             membrane: or None for particles alone.
-            parameters: of all terms.
+            parameters: of all terms; by default `Parameters()`.
             load: external force on every vertex, in F(0).
             extra: further terms: objects of the kind of `jaxgrow.energy.term.Term`, or
                 functions of particles and membrane.
@@ -166,7 +165,7 @@ class Problem(eqx.Module):
         return problem.but(parameters=arrays)
 
     def with_loops(self, loops: Loops | None) -> "Problem":
-        """The same problem with other loops."""
+        """Return the same problem with other loops."""
         return self if loops is self.loops else self.but(loops=loops)
 
     def but(self, **changes: Any) -> "Problem":
@@ -175,27 +174,27 @@ class Problem(eqx.Module):
 
     @property
     def dtype(self) -> jnp.dtype:
-        """Of the positions."""
+        """Dtype of the positions."""
         if self.particles is not None:
             return self.particles.position.dtype
         assert self.membrane is not None
         return self.membrane.vertices.dtype
 
     def both(self) -> tuple[Particles, Membrane]:
-        """Particles and membrane of a problem that has the contact between them."""
+        """Return particles and membrane of a problem that has both."""
         assert self.particles is not None
         assert self.membrane is not None
         return self.particles, self.membrane
 
     def nodes(self) -> Nodes:
-        """The current positions of everything."""
+        """Return the current positions of all nodes."""
         return Nodes(
             None if self.particles is None else self.particles.position,
             None if self.membrane is None else self.membrane.vertices,
         )
 
     def at(self, nodes: Nodes) -> "Problem":
-        """The same problem with its nodes at other positions."""
+        """Return the same problem with its nodes at other positions."""
         particles, membrane = self.particles, self.membrane
         if particles is not None:
             assert nodes.particles is not None
@@ -206,7 +205,7 @@ class Problem(eqx.Module):
         return self.but(particles=particles, membrane=membrane)
 
     def free(self) -> Nodes:
-        """1 for rows that may move, 0 for held, pinned and padding ones."""
+        """Return 1 for rows that may move, 0 for held, pinned and padding ones."""
         particles = vertices = None
         if self.particles is not None:
             position = self.particles.position
@@ -219,11 +218,11 @@ class Problem(eqx.Module):
         return Nodes(particles, vertices)
 
     def energy(self, nodes: Nodes, lists: Lists) -> Float[Array, ""]:
-        """Energy in F(0) r0; only the terms that the scene has are traced."""
+        """Return the energy, in F(0) r0; only terms of the scene are traced."""
         return self.at(nodes).energy_here(lists)
 
     def forces(self, nodes: Nodes, lists: Lists) -> Nodes:
-        """Minus the gradient of the energy, on held and pinned nodes too."""
+        """Return minus the gradient of the energy, on held and pinned nodes too."""
         return self._forces_and_clearances(nodes, lists)[0]
 
     def bound(
@@ -233,15 +232,15 @@ class Problem(eqx.Module):
         largest: Scalar,
         distances: Distances | None = None,
     ) -> Nodes:
-        """How far each node may move in one step: `largest`, or less near contact.
+        """Return how far each node may move in one step, in r0.
 
-        0.4 of the clearance of each particle and vertex (see
+        It is `largest`, or 0.4 of the clearance of the particle or vertex (see
         `jaxgrow.energy.contact.clearances` and
         `jaxgrow.energy.collision.collision_clearances`), so that nothing crosses the
         membrane, itself included.
 
         Args:
-            nodes: where they are.
+            nodes: positions.
             lists: valid there.
             largest: in r0.
             distances: if they are known.
@@ -252,14 +251,14 @@ class Problem(eqx.Module):
         return at._bound_by(at._clearances(lists, distances), largest)
 
     def _bound_by(self, clear: Nodes, largest: Scalar) -> Nodes:
-        """The bound of every node whose clearance is known."""
+        """Return the bound of every node from its clearance."""
         return jax.tree.map(
             lambda free, near: free[:, 0] * jnp.minimum(largest, 0.4 * near),
             *(self.free(), clear),
         )
 
     def _clearances(self, lists: Lists, distances: Distances) -> Nodes:
-        """Distance of every node to what it must not cross; infinite for none."""
+        """Return the distance of every node to obstacles; infinite for none."""
         clear = jax.tree.map(lambda x: jnp.full_like(x[:, 0], jnp.inf), self.nodes())
         if lists.contacts is not None:
             assert distances.contact is not None
@@ -278,12 +277,12 @@ class Problem(eqx.Module):
     def forces_and_bound(
         self, nodes: Nodes, lists: Lists, largest: Scalar
     ) -> tuple[Nodes, Nodes]:
-        """Both, from the same distances."""
+        """Return forces and bound, from the same distances."""
         forces, clear = self._forces_and_clearances(nodes, lists)
         return forces, self._bound_by(clear, largest)
 
     def outgrown(self, nodes: Nodes, lists: Lists) -> Outgrown:
-        """Which lists do not hold at these positions: something moved too far."""
+        """Return which lists are not valid at these positions."""
         outgrown = Outgrown.nothing()
         if lists.neighbors is not None:
             assert nodes.particles is not None
@@ -305,10 +304,10 @@ class Problem(eqx.Module):
         return outgrown
 
     def rebuilt(self, nodes: Nodes, lists: Lists, outgrown: Outgrown) -> Lists:
-        """The lists for these positions, those that do not hold there rebuilt.
+        """Rebuild the lists that are not valid at these positions.
 
-        Collisions are listed by the host, and those near now found in its list; that it
-        must make another is noted.
+        The host lists the collisions, and the near ones are filtered from its list; if
+        that is no longer valid it is marked as stale.
         """
         neighbors = lists.neighbors
         if neighbors is not None:
@@ -336,7 +335,7 @@ class Problem(eqx.Module):
         return lists.with_stale(outgrown.of_host)
 
     def collisions(self, wide: Collisions, room: int) -> Collisions:
-        """What is near now of the host's list, in arrays of the given size."""
+        """Filter the near collisions from the host's list, to a capacity."""
         assert self.membrane is not None
         return narrow_collisions(
             wide,
@@ -350,7 +349,7 @@ class Problem(eqx.Module):
     def contacts(
         self, contacts: Contacts, candidates: Contacts
     ) -> tuple[Contacts, Contacts]:
-        """Both lists for where the nodes are, in arrays of the given sizes."""
+        """Rebuild both contact lists at the nodes, with the same capacities."""
         particles, membrane = self.both()
         whole = reach(self.parameters)
         moved = candidates.moved(particles.position, membrane.vertices)
@@ -370,11 +369,11 @@ class Problem(eqx.Module):
         return near, candidates
 
     def update(self, nodes: Nodes, lists: Lists) -> Lists:
-        """The lists for new positions, rebuilt where something moved too far."""
+        """Rebuild the lists for new positions where a node moved too far."""
         return self.rebuilt(nodes, lists, self.outgrown(nodes, lists))
 
     def distances(self, lists: Lists) -> Distances:
-        """Exact distances where the nodes are."""
+        """Return exact distances of the listed pairs at the nodes."""
         contact = collision = None
         if lists.contacts is not None:
             contact = contact_distances(*self.both(), lists.contacts)
@@ -383,7 +382,7 @@ class Problem(eqx.Module):
         return Distances(contact, collision)
 
     def _forces_and_clearances(self, nodes: Nodes, lists: Lists) -> tuple[Nodes, Nodes]:
-        """By loops where there are some, else by autodiff; see `Problem.bound`."""
+        """Compute both by loops if available, else by autodiff."""
         done = () if self.loops is None else self.loops.names
         with_load = self.at(nodes)._with_load
 
@@ -409,14 +408,14 @@ class Problem(eqx.Module):
         return with_load(forces), self.at(nodes)._clearances(lists, apart)
 
     def _with_load(self, forces: Nodes) -> Nodes:
-        """Forces with the load's."""
+        """Add the load to forces."""
         if self.load is None or self.membrane is None:
             return forces
         assert forces.vertices is not None
         return Nodes(forces.particles, forces.vertices + self.load)
 
     def is_looped(self, lists: Lists) -> bool:
-        """Whether loops evaluate everything but the load."""
+        """Return whether loops evaluate everything but the load."""
         assert self.loops is not None
         names = {term.name for term in wired(self, lists)}
         return not self.functions and names <= set(self.loops.names)

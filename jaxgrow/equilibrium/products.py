@@ -19,20 +19,20 @@ from jaxgrow.state import Nodes
 def force_along(
     problem: Problem, nodes: Nodes, lists: Lists, way: Nodes
 ) -> Float[Array, ""]:
-    """Return the forces' scalar product with a displacement of all nodes.
+    """Return the scalar product of forces and a displacement of all nodes.
 
     It is minus the derivative of the energy along it, and so can be differentiated in
-    what the forces depend on without a second derivative of distances.
+    the inputs of the forces without a second derivative of distances.
 
     Args:
-        problem: whose forces they are.
-        nodes: where it is.
+        problem: gives the energy.
+        nodes: positions.
         lists: valid there.
         way: the displacement, in r0.
     """
     but = problem.but(functions=(), loops=None)
     _, slope = jax.jvp(lambda at: but.energy(at, lists), (nodes,), (way,))
-    for function in problem.functions:  # which may know derivatives in reverse only
+    for function in problem.functions:  # may have reverse derivatives only
 
         def own(at: Nodes, energy: EnergyFunction = function) -> Array:
             moved = problem.at(at)
@@ -46,11 +46,11 @@ def force_along(
 def hessian_product(
     problem: Problem, nodes: Nodes, lists: Lists
 ) -> Callable[[Nodes], Nodes]:
-    """Return the function that multiplies a displacement by the energy's Hessian.
+    """Return the function that multiplies a displacement by the Hessian.
 
     Args:
-        problem: whose energy it is; its loops of products are used if it has them.
-        nodes: where the Hessian is taken.
+        problem: gives the energy; its loops of products are used if it has them.
+        nodes: positions at which the Hessian is taken.
         lists: valid there.
     """
     loops = problem.loops

@@ -1,4 +1,4 @@
-"""The lists of a problem: allocated, kept valid, and told to be out of date."""
+"""Allocate, refresh and invalidate the lists of a problem."""
 
 import functools
 from collections.abc import Callable
@@ -38,7 +38,7 @@ from jaxgrow.state import Membrane, Particles
 CollisionLister: TypeAlias = Callable[
     [Float[Array, "m 3"], Collisions | None], Collisions
 ]
-"""Lists on the host what may collide, given the vertices and the list before."""
+"""Host function that lists collisions, given the vertices and the list before."""
 
 _count_contacts = eqx.filter_jit(count_contacts)
 
@@ -73,7 +73,7 @@ def _refresh(problem: Problem, lists: Lists) -> Lists:
 
 
 def allocate_lists(problem: Problem, before: Lists | None = None) -> Lists:
-    """Lists with room for the current state, and not smaller than before."""
+    """Allocate lists for the current state, not smaller than before."""
     neighbors = None
     if before is None:
         before = Lists(None, None)
@@ -85,7 +85,7 @@ def allocate_lists(problem: Problem, before: Lists | None = None) -> Lists:
 def allocate_contacts(
     problem: Problem, neighbors: nb.Neighbors | None, before: Lists | None = None
 ) -> Lists:
-    """The same where neighbours are listed already."""
+    """Allocate contact lists, for neighbours that are listed already."""
     contacts = candidates = None
     if before is None:
         before = Lists(None, None)
@@ -97,7 +97,7 @@ def allocate_contacts(
 
 
 def _listed_by_programs(problem: Problem, before: Lists) -> tuple[Contacts, Contacts]:
-    """The wide list of contacts and the near one."""
+    """Build the wide and the near contact list by XLA."""
     both = problem.both()
     radius = jnp.asarray(reach(problem.parameters))
     wide = radius + CANDIDATE_SKIN
@@ -120,7 +120,7 @@ def _listed_by_programs(problem: Problem, before: Lists) -> tuple[Contacts, Cont
 
 
 def fits(problem: Problem, lists: Lists) -> bool:
-    """Whether lists of an earlier problem have the shapes of this one."""
+    """Return whether lists have the shapes of this problem."""
     if lists.neighbors is not None:
         if problem.particles is None:
             return False
@@ -147,13 +147,13 @@ def prepared(
     *,
     refresh: bool = True,
 ) -> Lists:
-    """Lists that are valid for where the problem is now.
+    """Return lists that are valid at the problem's nodes.
 
     Args:
-        problem: where it is.
-        lists: that fit it.
-        collide: lists on the host what may collide.
-        refresh: whether lists of the device that do not hold are made anew here.
+        problem: at its present nodes.
+        lists: of matching shapes.
+        collide: lists collisions on the host.
+        refresh: whether invalid lists of the device are rebuilt here.
     """
     now = lists if lists.collisions is None else lists.with_collisions(None)
     if refresh:
@@ -169,7 +169,7 @@ def prepared(
 
 
 def with_contacts(problem: Problem, lists: Lists) -> Lists:
-    """Lists of which those of contacts are valid for where the problem is now."""
+    """Return lists of which the contacts are valid at the problem's nodes."""
     now = Lists(None, lists.contacts, lists.candidates)
     if now.contacts is not None:
         if not bool(_hold(problem, now)):
@@ -182,7 +182,7 @@ def with_contacts(problem: Problem, lists: Lists) -> Lists:
 def _near_collisions(
     problem: Problem, found: Collisions, before: Collisions | None
 ) -> Collisions:
-    """What is near of the host's list, with room for it and for what was before."""
+    """Filter the near collisions from the host's list, no smaller than before."""
     looped = is_looped(problem)
     room = LEAST_COLLISIONS
     if before is not None:
@@ -198,7 +198,7 @@ def _near_collisions(
 
 
 def stale(lists: Lists) -> Lists:
-    """Lists that the next update rebuilds, because faces or species changed."""
+    """Invalidate contact lists, because faces or species changed."""
     if lists.contacts is None or lists.candidates is None:
         return lists
 
@@ -215,5 +215,5 @@ def stale(lists: Lists) -> Lists:
 
 @functools.lru_cache(maxsize=64)
 def _elsewhere(shape: tuple[int, ...], dtype: DTypeLike) -> Array:
-    """Positions farther away than anything moves, made once."""
+    """Return positions farther away than anything moves (cached)."""
     return jnp.full(shape, 1e6, dtype)

@@ -1,4 +1,4 @@
-"""Relaxation: the equilibrium of particles, of a membrane, or of both together."""
+"""Relaxation to the equilibrium of particles, of a membrane, or of both."""
 
 import math
 from collections.abc import Callable
@@ -44,14 +44,14 @@ from jaxgrow.transfer.device import get
 
 
 class RelaxationStats(NamedTuple):
-    """What a relaxation took.
+    """Statistics of a relaxation.
 
     Attributes:
         residual: largest force on a free node, in F(0).
-        steps: steps made, over all methods and retries; of Newton's method the Hessian
+        steps: steps made, over all methods and retries; for Newton's method the Hessian
             products.
-        rebuilds: how often descents rebuilt their lists on the way.
-        overflows: how often a list was too small and was allocated anew.
+        rebuilds: number of list rebuilds during descents.
+        overflows: number of lists that overflowed and were reallocated.
         method: the method that ended it.
     """
 
@@ -68,10 +68,10 @@ class Relaxation(NamedTuple):
     Attributes:
         state: particles and membrane.
         result: CONVERGED, or why not.
-        stats: what it took.
+        stats: residual, steps and method.
         lists: may be passed to the next call.
-        forces: on all nodes, in F(0); on those that are held or pinned, what the
-            border of a patch feels. Their derivative is that of the equilibrium's.
+        forces: on all nodes, in F(0); on held and pinned ones, the reaction at the
+            border of a patch. They are differentiated as the equilibrium is.
     """
 
     state: tuple[Particles | None, Membrane | None]
@@ -83,11 +83,11 @@ class Relaxation(NamedTuple):
 
 @jax.jit
 def _set_apart(particles: Particles) -> Particles:
-    """Move living particles that lie on each other's very point apart by a hair.
+    """Separate coincident particles by a tiny displacement.
 
-    At distance 0 a pair's force has no direction, and so seems to be at rest at the
-    maximum of its energy. All but one of a group are moved, by some roundings of their
-    coordinates, each in a direction of its own.
+    At distance 0 a pair's force has no direction, so the pair would seem to be at rest
+    at the maximum of its energy. All but one of a group are moved, by some roundings of
+    their coordinates, each in another direction.
     """
     position = particles.position
     order = jnp.lexsort(position.T)
@@ -119,72 +119,73 @@ def relax(
     observe: Callable[[Nodes], None] | None = None,
     terms: ExtraTerms = (),
 ) -> Relaxation:
-    """Bring particles and membrane to equilibrium: the largest force at a tolerance.
+    """Relax particles and membrane until the largest force is at a tolerance.
 
     One energy, of pairs, springs and contact, is minimised over the positions of all
     free particles and vertices together. (The paper relaxes the tissue and then the
     surface under the forces that it accumulated; after a reset of rest lengths a flat
-    membrane has no linear stiffness out of its plane, and those dead loads throw it
-    far beyond the reach of the particles.)
+    membrane has no linear stiffness out of its plane, and those dead loads move it far
+    beyond the reach of the particles.)
 
-    Particles at the very same point are set apart by a hair first.
+    Coincident particles are separated by a tiny displacement first.
 
     *Derivatives.* The equilibrium can be differentiated, in forward and reverse mode at
-    the price of a linear solve a direction, with respect to parameters, rest lengths,
-    load, and the positions of what is held or pinned
+    the cost of a linear solve per direction, with respect to parameters, rest lengths,
+    load, and the positions of held and pinned nodes
     (`jaxgrow.equilibrium.implicit_diff`): by `jax.grad`, `jax.jvp`, `jax.vjp`,
-    `jax.jacfwd` (a solve a parameter) and `jax.jacrev` (a solve a result). The
-    tolerance is then 1e-10 at most. Where free nodes started from has no derivative. If
-    the equilibrium was not reached, is not a strict minimum, or its linear system could
-    not be solved, the derivative is NaN; `jaxgrow.linear_response` says which.
+    `jax.jacfwd` (a solve per parameter) and `jax.jacrev` (a solve per result). The
+    tolerance is then 1e-10 at most. The initial positions of free nodes have no
+    derivative. If the equilibrium was not reached, is not a strict minimum, or its
+    linear system could not be solved, the derivative is NaN; `jaxgrow.linear_response`
+    says which.
 
-    No node moves farther in one step than 0.4 of its distance to what it must not
-    cross, so particles stay on their side of the membrane throughout.
+    No node moves farther in one step than 0.4 of its distance to the surfaces that it
+    must not cross, so particles stay on their side of the membrane throughout.
 
     Args:
         particles: or None for a membrane alone; see `jaxgrow.make_particles`.
         membrane: or None for particles alone; then no membrane term is compiled. See
             `jaxgrow.make_membrane`.
         parameters: of the energy; the default `Parameters()`.
-        tolerance: largest force on a free node at the end, in F(0). With 1e-10 or
-            less, as under a derivative, which is off by about what is left, it is
-            made a hundredth of that, if it can be, and 1e-12 is enough.
-        method: "lbfgs", "fire", "newton" (within a trust region, so from anywhere),
+        tolerance: largest force on a free node at the end, in F(0). At 1e-10 or less,
+            as under a derivative, whose error is about the residual, the relaxation
+            goes on to a hundredth of it if possible, and 1e-12 is enough.
+        method: "lbfgs", "fire", "newton" (within a trust region, from any start),
             "euler" and "serial" (the paper's eq. 1, all at once or in serial order,
             which is for particles alone), "staggered" (the paper's turns of tissue and
-            surface, for both, which seldom converge), or "auto": L-BFGS, which Newton's
-            method ends where the tolerance is below 1e-12, or below 1e-6 and L-BFGS
+            surface, for both, which seldom converge), or "auto": L-BFGS, then Newton's
+            method if the tolerance is below 1e-12, or if it is below 1e-6 and L-BFGS
             does not converge, then FIRE if they do not; "local": the same after
-            relaxing what is disturbed by itself, larger and larger, which "auto" does
-            too where there are many thousands of nodes.
+            relaxing the disturbed part separately, with growing size, which "auto" does
+            too for many thousands of nodes.
         max_steps: bound on the steps of each method.
         largest_step: longest displacement of a node in one step, in r0.
         load: external force on every vertex, padding included, (m, 3), in F(0).
-        lists: of an earlier call, to spare their allocation.
+        lists: of an earlier call, to save their allocation.
         collide: lists what the membrane may collide with (see
             `jaxgrow.growth.collision_broad_phase.CollisionFinder`); None if it can
             collide with nothing, and then no collision term is compiled.
         observe: called with the positions after every single step, which makes the
-            relaxation several times slower; of "staggered" after every turn, of
+            relaxation several times slower; for "staggered" after every turn, for
             "newton" at the end.
-        terms: energies besides those of jaxgrow. An object of the kind of
-            `jaxgrow.Term`, whose energy of one element is printed as a loop like those
-            of jaxgrow; or a function of particles and membrane that returns an energy
-            in F(0) r0, which XLA evaluates: a relaxation then takes several times as
-            long. A function is compiled anew for every new object, so define it once;
-            numbers in it that change from call to call belong into the fields of an
-            `equinox.Module` that is called like a function.
+        terms: additional energies. An instance of `jaxgrow.Term`, whose energy of one
+            element is printed as a loop like those of jaxgrow; or a function of
+            particles and membrane that returns an energy in F(0) r0, which XLA
+            evaluates: a relaxation then takes several times as long. A function is
+            compiled again for every new object, so define it once; numbers in it that
+            change from call to call belong in the fields of a callable
+            `equinox.Module`.
 
     Returns:
-        state, result, stats and lists. When the result is not CONVERGED the state is
-        the last valid one, and its residual is in the stats.
+        State, result, stats and lists. If the result is not CONVERGED the state is the
+        last valid one, and its residual is in the stats.
 
     Raises:
-        ValueError: there is nothing to relax, an array has another shape or other
-            numbers than it must, the tolerance is not positive, the method is unknown
-            or not for a membrane, JAX computes in 32 bits and the positions have 64, or
-            a second derivative is taken or values are withheld (`jax.hessian`,
-            `jax.jit`, `jax.checkpoint`, `jax.vmap` over values).
+        ValueError: there is nothing to relax, an array has a wrong shape or kind of
+            numbers, the tolerance is not positive, the method is unknown or not for a
+            membrane, JAX computes in 32 bits and the positions have 64, or a second
+            derivative is taken or values are withheld (`jax.hessian`, `jax.jit`,
+            `jax.checkpoint`, `jax.vmap` over values).
         RuntimeError: this process was forked from one that had computed.
     """
     refuse_forked()
@@ -260,7 +261,7 @@ def relax(
             result = Result.CONVERGED
             break
     if differentiated:
-        if stats.method == "local":  # which keeps no list of all neighbours valid
+        if stats.method == "local":  # leaves neighbour lists invalid
             lists = prepared(problem, lists, None)
         valid = result is Result.CONVERGED
         found = Equilibrium(problem.nodes(), forces)

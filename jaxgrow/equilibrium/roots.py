@@ -1,8 +1,8 @@
-"""The roots of all terms: which energies their loops are printed from.
+"""Roots of all terms: the energies that their loops are printed from.
 
-Of each term there is one for its forces and one for its Hessian: for the product with a
-displacement, and for the diagonal blocks. See `jaxgrow.kernels.roots` for what a root
-is.
+Each term has a root for its forces and one for its Hessian: for the product with a
+displacement, and for the diagonal blocks. See `jaxgrow.kernels.roots` for the
+definition of a root.
 """
 
 from collections.abc import Callable, Sequence
@@ -50,7 +50,7 @@ BUFFERS = {
         _NUMBERS,
     ),
 }
-"""What the roots read, by the kind of the term."""
+"""Buffers that the roots read, by the kind of the term."""
 
 
 def _names(prefix: str, count: int) -> tuple[str, ...]:
@@ -58,7 +58,7 @@ def _names(prefix: str, count: int) -> tuple[str, ...]:
 
 
 def _tuple(first: int, count: int) -> str:
-    """Source of the tuple of so many numbers of the buffer."""
+    """Return the source of a tuple of consecutive numbers of the buffer."""
     entries = "".join(f"numbers[{first + k}], " for k in range(count))
     return f"({entries})"
 
@@ -70,7 +70,7 @@ def _law(
     given: Any,
     kind: Kind,
 ) -> Printed:
-    """First derivative of an energy in its first input, and the second for products."""
+    """Print the derivative of an energy in its first input; for products two."""
     arguments = (*inputs, *(f"p_{n}" for n in given.parameters))
 
     def derivatives(*numbers: Array) -> tuple[Array, ...]:
@@ -95,7 +95,7 @@ def _in_nodes(
     parameters: Sequence[str],
     kind: Kind,
 ) -> Printed:
-    """Gradient of an element's energy in its nodes, or its derivative along a way.
+    """Print the gradient of an element's energy in its nodes, or its JVP.
 
     Args:
         name: of the printed function.
@@ -129,7 +129,7 @@ def _in_nodes(
 
 
 def pair_root(kind: Kind) -> Root:
-    """Root of `jaxgrow.energy.pair`; the first number is the cut-off."""
+    """Build the root of `jaxgrow.energy.pair`; the first number is the cutoff."""
     law = _law("law", PAIRS.energy, ("u", "one", "other"), PAIRS, kind)
     given = (
         f"nodes[:count], tumour, listed, numbers[0], {_tuple(1, len(PAIRS.parameters))}"
@@ -155,7 +155,10 @@ def renew(position, tumour, alive, before, alive_before, changed, numbers, force
 
 
 def contact_root(kind: Kind) -> Root:
-    """Root of `jaxgrow.energy.contact`; numbers: range, half sharpness, reach, law."""
+    """Build the root of `jaxgrow.energy.contact`.
+
+    Its numbers are range, half sharpness, reach, law.
+    """
     law = _law("law", CONTACT.energy, ("u",), CONTACT, kind)
     given = (
         "nodes[:count], nodes[count:], alive, particle, corners, real, "
@@ -171,7 +174,10 @@ def contact_root(kind: Kind) -> Root:
 
 
 def collision_root(kind: Kind) -> Root:
-    """Root of `jaxgrow.energy.collision`; numbers: range, half sharpness, laws."""
+    """Build the root of `jaxgrow.energy.collision`.
+
+    Its numbers are range, half sharpness, laws.
+    """
     names = COLLISION.parameters
 
     def of_edges(x: Any, rest: Any, p: Any) -> Array:
@@ -206,11 +212,11 @@ def collision_root(kind: Kind) -> Root:
 
 
 def element_root(term: Term, rest: int, kind: Kind) -> Root:
-    """Root of a term whose energy is a sum over elements.
+    """Build the root of a term whose energy is a sum over elements.
 
     Args:
         term: the term.
-        rest: how many rest data an element has.
+        rest: number of rest data of an element.
         kind: "force" or "product".
     """
     names, leaves = term.parameters, jax.tree.leaves(term)
@@ -271,4 +277,4 @@ def add_blocks(nodes, stencil, rest, alive, p, out):
                     for other in own[0]:
                         product[other, k] = 0.0
 """
-"""A column of a node's block is the product of one element with its displacement."""
+"""Columns of a node's block are products of one element with its unit displacements."""

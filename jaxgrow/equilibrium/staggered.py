@@ -1,18 +1,19 @@
-r"""The paper's relaxation of tissue and surface in turns (its §4), for comparison.
+r"""Staggered relaxation of tissue and surface (the paper's §4), to compare.
 
-"Adapt tissues": the particles come to rest with the membrane as it is. "Adapt surface":
-the forces that they then exert on its vertices accumulate, and the springs come to rest
-under them as dead loads, which do not change while the membrane moves. So on and on.
+"Adapt tissues": the particles are relaxed with the membrane fixed. "Adapt surface": the
+forces that they then exert on its vertices accumulate, and the springs are relaxed
+under them as dead loads, which do not change while the membrane moves. Both are
+repeated.
 
-Its fixed points are the equilibria of particles and membrane together. It gets there
-only where the membrane is stiffer than the particles that press on it: after a reset of
+Its fixed points are the equilibria of particles and membrane together. It converges
+only if the membrane is stiffer than the particles that press on it: after a reset of
 rest lengths a flat membrane has no linear stiffness out of its plane, and dead loads
-throw it far away. (At a polyp's division, with springs of 0.04 F(0)/r0, it goes to and
-fro by 0.1 r0 without end; with 3 F(0)/r0 and a pretension of 0.5 it is at rest after 23
-turns.) The result is then STEP_LIMIT, however many steps are allowed.
+move it far away. (At a polyp's division, with springs of 0.04 F(0)/r0, it oscillates by
+0.1 r0 without end; with 3 F(0)/r0 and a pretension of 0.5 it is at rest after 23
+turns.) If it does not, the result is STEP_LIMIT, however many steps are allowed.
 
-We deviate where that would take it through the particles: in one sweep no vertex moves
-farther than its bound, and the particles follow.
+We deviate where the membrane would pass through the particles: in one sweep no vertex
+moves farther than its bound, and the particles follow.
 """
 
 from collections.abc import Callable
@@ -34,7 +35,7 @@ from jaxgrow.state import Nodes
 
 @eqx.filter_jit
 def _largest_on_vertices(problem: Problem, force: Nodes) -> Float[Array, ""]:
-    """Largest force on a free vertex, in F(0)."""
+    """Return the largest force on a free vertex, in F(0)."""
     _, membrane = problem.both()
     assert force.vertices is not None
     return jnp.max(jnp.where(membrane.free, safe_norm(force.vertices), 0))
@@ -42,11 +43,11 @@ def _largest_on_vertices(problem: Problem, force: Nodes) -> Float[Array, ""]:
 
 @eqx.filter_jit
 def _loaded(problem: Problem, lists: Lists, force: Nodes) -> Problem:
-    """The membrane alone, what particles do to it as dead loads.
+    """Return the membrane alone, with the particles' forces as dead loads.
 
     Args:
         problem: of both.
-        lists: those of the membrane alone.
+        lists: of the membrane alone.
         force: of all terms, on all nodes.
     """
     alone = problem.but(particles=None, loops=None)
@@ -62,10 +63,10 @@ def _loaded(problem: Problem, lists: Lists, force: Nodes) -> Problem:
 def _towards(
     problem: Problem, lists: Lists, wanted: Nodes, largest: Scalar
 ) -> tuple[Problem, Float[Array, ""]]:
-    """Move vertices to where they shall go, each by no more than its bound.
+    """Move vertices towards their targets, each by no more than its bound.
 
     Returns:
-        The problem after that, and the bound of the vertex that has the smallest one.
+        The problem after that, and the smallest bound of a vertex that moves.
     """
     nodes = problem.nodes()
     bound = problem.bound(nodes, lists, largest).vertices
@@ -80,7 +81,7 @@ def _towards(
 
 
 def _pinned(problem: Problem) -> Problem:
-    """The problem with a membrane that does not move."""
+    """Return the problem with a membrane that does not move."""
     _, membrane = problem.both()
     everything = jnp.ones_like(membrane.pinned)
     return eqx.tree_at(lambda p: p.membrane.pinned, problem, everything)
@@ -93,11 +94,11 @@ def stagger(
     collide: CollisionLister | None = None,
     observe: Callable[[Nodes], None] | None = None,
 ) -> Found:
-    """Relax particles and membrane in turns, until both are at rest together.
+    """Relax particles and membrane in turns, until both are at rest.
 
     Args:
         problem: of particles and membrane.
-        lists: that fit it.
+        lists: of matching shapes.
         limits: tolerance of each part and of both, steps of all parts together, and
             longest displacement of a vertex in a sweep.
         collide: lists what the membrane may collide with.

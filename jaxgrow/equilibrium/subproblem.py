@@ -1,4 +1,4 @@
-"""A problem cut out of a larger one: some nodes may move, those around are held."""
+"""Subproblem of a larger problem: some nodes move, those around are held."""
 
 from typing import NamedTuple
 
@@ -20,28 +20,28 @@ _LEAST = 1024
 
 
 class Mask(NamedTuple):
-    """Some of the nodes."""
+    """Subset of the nodes."""
 
     particles: Bool[np.ndarray, " n"]
     vertices: Bool[np.ndarray, " m"]
 
     @property
     def size(self) -> int:
-        """How many they are."""
+        """Number of nodes in the subset."""
         return int(self.particles.sum() + self.vertices.sum())
 
     def joined(self, other: "Mask") -> "Mask":
-        """What is in one of both."""
+        """Return the union with another subset."""
         return Mask(*(own | more for own, more in zip(self, other, strict=True)))
 
 
 class Part(NamedTuple):
-    """A problem cut out of a larger one.
+    """Subproblem cut out of a larger one.
 
     Attributes:
-        problem: of it; what is near but may not move is held and pinned.
-        particles: which of the whole they are.
-        vertices: which of the whole they are; empty without a membrane.
+        problem: the subproblem; near nodes that may not move are held and pinned.
+        particles: their indices in the whole.
+        vertices: their indices in the whole; empty without a membrane.
     """
 
     problem: Problem
@@ -49,7 +49,7 @@ class Part(NamedTuple):
     vertices: Int[np.ndarray, " v"]
 
     def put(self, nodes: Nodes, into: Nodes) -> Nodes:
-        """The positions of the whole with those of the part."""
+        """Write the positions of the part into those of the whole."""
 
         def placed(
             part: Array | None, whole: Array | None, index: np.ndarray
@@ -67,12 +67,12 @@ class Part(NamedTuple):
 
 
 def _both(nodes: Nodes) -> tuple[Array | None, Array | None]:
-    """Both kinds."""
+    """Return the rows of particles and of vertices."""
     return nodes.particles, nodes.vertices
 
 
 def _points(problem: Problem) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Positions of all slots on the host; padding of vertices is far away."""
+    """Return positions of all slots on the host; dead vertices are far away."""
     particles = vertices = None
     if problem.particles is not None:
         particles = get(problem.particles.position)
@@ -83,7 +83,7 @@ def _points(problem: Problem) -> tuple[np.ndarray | None, np.ndarray | None]:
 
 
 def _around(problem: Problem, some: Mask, radius: float) -> Mask:
-    """All nodes within a radius of some of them."""
+    """Return all nodes within a radius of some of them."""
     points = _points(problem)
     placed = zip(points, some, strict=True)
     seeds = np.concatenate([rows[mask] for rows, mask in placed if rows is not None])
@@ -91,14 +91,14 @@ def _around(problem: Problem, some: Mask, radius: float) -> Mask:
 
 
 def none_of(problem: Problem) -> Mask:
-    """None of the nodes."""
+    """Return the empty subset of the nodes."""
     nodes = problem.nodes()
     counts = [0 if rows is None else rows.shape[0] for rows in _both(nodes)]
     return Mask(*(np.zeros(count, bool) for count in counts))
 
 
 def able(problem: Problem) -> Mask:
-    """Which nodes may move at all."""
+    """Return the subset of nodes that may move at all."""
     none = none_of(problem)
     return Mask(
         none.particles if problem.particles is None else get(problem.particles.free),
@@ -107,14 +107,14 @@ def able(problem: Problem) -> Mask:
 
 
 class Sizes(NamedTuple):
-    """How large something is, per node."""
+    """Norm of a vector per node."""
 
     particles: Float[np.ndarray, " n"]
     vertices: Float[np.ndarray, " m"]
 
     @classmethod
     def of(cls, force: Nodes, free: Mask) -> "Sizes":
-        """How large the force on every node is, 0 on those that may not move."""
+        """Compute the norm of the force on every node, 0 on those held."""
 
         def size(rows: Array | None, on: Bool[np.ndarray, " k"]) -> np.ndarray:
             if rows is None:
@@ -127,21 +127,21 @@ class Sizes(NamedTuple):
 
     @property
     def largest(self) -> float:
-        """Of all nodes; NaN if one is."""
+        """Largest norm of all nodes; NaN if one is."""
         return float(max(np.max(each, initial=0) for each in self if len(each)))
 
     def above(self, tolerance: float) -> Mask:
-        """Which nodes have more than so much."""
+        """Return the subset of nodes above a tolerance."""
         return Mask(*(each > tolerance for each in self))
 
 
 def around(problem: Problem, some: Mask, free: Mask, radius: float) -> Mask:
-    """What may move within a radius, in r0, of some nodes.
+    """Return the free nodes within a radius, in r0, of some nodes.
 
     Args:
         problem: the whole.
         some: the nodes.
-        free: which may move at all.
+        free: nodes that may move at all.
         radius: in r0.
     """
     near = _around(problem, some, radius)
@@ -149,12 +149,13 @@ def around(problem: Problem, some: Mask, free: Mask, radius: float) -> Mask:
 
 
 def cut(problem: Problem, moving: Mask, margin: float) -> Part:
-    """The problem of some nodes, with everything around that acts on them.
+    """Cut out the problem of some nodes, with all that act on them.
 
     Args:
         problem: the whole.
-        moving: what may move.
-        margin: how far a node may go, in r0, before it could meet what was not cut out.
+        moving: nodes that may move.
+        margin: distance that a node may move, in r0, before it could meet nodes that
+            are not cut out.
     """
     near = _around(problem, moving, _span(problem) + margin)
     needed = int(near.particles.sum())
@@ -176,7 +177,7 @@ def cut(problem: Problem, moving: Mask, margin: float) -> Part:
 
 
 def _span(problem: Problem) -> float:
-    """Distance, in r0, beyond which nodes do not act on each other."""
+    """Return the interaction range: beyond it nodes do not act on each other."""
     membrane = problem.membrane
     if membrane is None:
         return CUTOFF
@@ -190,7 +191,10 @@ def _span(problem: Problem) -> float:
 
 
 def _vertices_needed(membrane: Membrane, near: Bool[np.ndarray, " m"]) -> int:
-    """Room for the vertices, for half as many faces and a third as many edges."""
+    """Return the capacity of vertices that the near part needs.
+
+    It is at least half the number of faces and a third of the number of edges.
+    """
     faces, _ = _within(membrane.faces, membrane.face_alive, near)
     edges, _ = _within(membrane.edges, membrane.edge_alive, near)
     return max(int(near.sum()), len(faces) // 2 + 1, len(edges) // 3 + 1)
@@ -199,7 +203,7 @@ def _vertices_needed(membrane: Membrane, near: Bool[np.ndarray, " m"]) -> int:
 def _within(
     corners: Int[Array, "f k"], alive: Bool[Array, " f"], near: Bool[np.ndarray, " m"]
 ) -> tuple[Int[np.ndarray, " g"], Int[np.ndarray, "g k"]]:
-    """Which faces or edges have all of their vertices near, in new numbers."""
+    """Find faces or edges with all vertices near, and renumber these."""
     rows = get(corners)
     chosen = np.flatnonzero(get(alive) & near[rows].all(axis=1))
     number = np.cumsum(near) - 1

@@ -1,9 +1,9 @@
-"""What JAX's transformations may do to a computation that runs on the host.
+"""Checks of JAX's transformations on computations that run on the host.
 
-Relaxation and growth decide in Python by the numbers that they find (which list is too
-small, who divides), so they need them: under `jax.grad`, `jax.jvp`, `jax.vjp`,
-`jax.linearize`, `jax.jacfwd` and `jax.jacrev` they have them, and nowhere else. Of
-their derivatives there are the first only.
+Relaxation and growth branch in Python on computed values (which list is too small,
+which particle divides), so they need these: they are available under `jax.grad`,
+`jax.jvp`, `jax.vjp`, `jax.linearize`, `jax.jacfwd` and `jax.jacrev`, and under no other
+transformation. Only first derivatives exist.
 """
 
 from collections.abc import Sequence
@@ -31,12 +31,12 @@ SECOND_DERIVATIVE = (
 
 
 def is_differentiated(tree: PyTree) -> bool:
-    """Whether a derivative is being taken with respect to a leaf."""
+    """Return whether a leaf is being differentiated (traced)."""
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
 
 
 def primal(tree: PyTree) -> PyTree:
-    """The values without their derivatives.
+    """Strip the derivatives off all leaves, keeping their values.
 
     As `jax.lax.stop_gradient` on each leaf, but all leaves at once: under a derivative
     every operation on the host costs a millisecond.
@@ -72,7 +72,7 @@ mlir.register_lowering(_primal, lambda _, *leaves: list(leaves))
 
 
 def check_transformations(tree: PyTree) -> None:
-    """Refuse what cannot be computed with these leaves.
+    """Raise if these leaves cannot be computed with.
 
     Raises:
         ValueError: their values are withheld (`jax.jit`, `jax.checkpoint`, `jax.vmap`
@@ -86,12 +86,12 @@ def check_transformations(tree: PyTree) -> None:
 
 
 def check_undifferentiated(tree: PyTree, what: str, instead: str) -> None:
-    """Refuse to give numbers of the host that would have no derivative.
+    """Raise if host numbers without derivative are asked for under one.
 
     Args:
-        tree: that they are computed from.
-        what: is asked for.
-        instead: how to get a derivative.
+        tree: inputs of the computation.
+        what: name of the result, for the message.
+        instead: how to get a derivative, for the message.
 
     Raises:
         ValueError: a leaf is differentiated.
@@ -105,9 +105,9 @@ def check_undifferentiated(tree: PyTree, what: str, instead: str) -> None:
 
 @jax.custom_jvp
 def _once(*leaves: Array) -> tuple[Array, ...]:
-    """The leaves; its rule looks at what is left when a derivative is taken off them.
+    """Return the leaves; its JVP rule rejects second derivatives.
 
-    A leaf that is still traced then has a second one.
+    A leaf that is still traced in the rule has a second derivative.
     """
     return leaves
 

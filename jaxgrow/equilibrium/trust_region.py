@@ -1,19 +1,19 @@
-r"""Newton's method from anywhere: conjugate gradients within a trust region.
+r"""Newton's method from any start: conjugate gradients in a trust region.
 
 In every iteration the quadratic model of the energy,
 
 .. math:: m(p) = -F \cdot p + \tfrac12\, p \cdot H p,
 
-is lessened by conjugate gradients (Steihaug 1983; Nocedal and Wright 2006, algorithm
+is reduced by conjugate gradients (Steihaug 1983; Nocedal and Wright 2006, algorithm
 7.2) while every node stays within a share of its bound. They end on the boundary of
 that region where a direction leads out of it, and along one of negative curvature: so
-the method leaves saddles. The step is made if the energy falls as the model foretells,
-and the share grows and shrinks with how well it does (algorithm 4.1 there).
+the method leaves saddles. The step is accepted if the energy falls as the model
+predicts, and the share grows and shrinks with the agreement (algorithm 4.1 there).
 
 Near an equilibrium it converges superlinearly, to the rounding of the forces. It takes
-more Hessian products than L-BFGS takes steps (of 600 particles, dense and jittered, 55
+more Hessian products than L-BFGS takes steps (for 600 particles, dense and jittered, 55
 to 42 until 1e-4 F(0) and 106 to 95 until 1e-8), and a product costs about two force
-evaluations: its use is where curvature is negative.
+evaluations: it is useful where curvature is negative.
 
 A saddle is an equilibrium too: if the forces that break its symmetry are below the
 tolerance, or of the rounding of the others, this method ends there as all others do.
@@ -35,14 +35,13 @@ from jaxgrow.state import Nodes
 
 
 _COARSEST = 0.5
-"""Residual of a linear system, over the force, with which its solution ends far from
-an equilibrium."""
+"""Relative residual at which a linear solve ends far from an equilibrium."""
 
 _ACCEPTED = 0.05
-"""Decrease of the energy, over that of the model, from which a step is made."""
+"""Ratio of actual to predicted decrease of the energy from which a step is accepted."""
 
 _SMALLEST_SHARE = 1e-12
-"""Share of their bounds below which steps are given up."""
+"""Share of the bounds below which the iteration stops."""
 
 
 class Trusted(eqx.Module):
@@ -50,11 +49,11 @@ class Trusted(eqx.Module):
 
     Attributes:
         nodes: positions accepted last.
-        force: there, on nodes that may not move too.
+        force: there, on all nodes.
         lists: valid there, unless one overflowed.
         residual: largest force on a free node, in F(0).
-        products: Hessian products that it took.
-        rebuilds: how often lists were rebuilt.
+        products: number of Hessian products.
+        rebuilds: number of list rebuilds.
         code: of the `Result`; STEP_LIMIT if the tolerance was not reached.
     """
 
@@ -68,11 +67,11 @@ class Trusted(eqx.Module):
 
 
 class _Step(eqx.Module):
-    """State of the conjugate gradients, and the step that they end with.
+    """State of the conjugate gradients, with the step that they end with.
 
     Attributes:
         p: the step.
-        r: what is left of the force, F − H p.
+        r: residual, F − H p.
         d: direction of the search.
         square: r · r.
         products: Hessian products so far, of all iterations.
@@ -88,18 +87,17 @@ class _Step(eqx.Module):
 
 
 class _Now(eqx.Module):
-    """A `Trusted`, and what it tries next.
+    """State of a `Trusted`, with the next trial.
 
     Attributes:
-        best: where it stands.
+        best: accepted state.
         energy: there, in F(0) r0.
-        share: of their bounds, how far nodes may move.
+        share: radius of the trust region, as a share of the nodes' bounds.
         trial: positions to evaluate next.
-        foretold: decrease of the energy by the model there, in F(0) r0.
-        reached: share of their bounds that nodes move to there, at most.
-        certain: whether the trial is taken in any case: it is the start, or where it
-            stands, after another trial was not taken. So what has to be compiled is
-            written once.
+        foretold: predicted decrease of the energy there, in F(0) r0.
+        reached: largest share of a bound that a node moves there.
+        certain: whether the trial is accepted in any case: it is the start, or the
+            accepted state after a rejected trial. So the evaluation is compiled once.
     """
 
     best: Trusted
@@ -116,19 +114,19 @@ def _plus(first: Nodes, factor: Scalar, second: Nodes) -> Nodes:
 
 
 def _largest(rows: Nodes) -> Float[Array, ""]:
-    """Length of the longest row."""
+    """Return the length of the longest row."""
     each = [jnp.max(safe_norm(leaf)) for leaf in jax.tree.leaves(rows)]
     return jnp.max(jnp.stack(each))
 
 
 def _to_border(p: Nodes, d: Nodes, limit: Nodes) -> Float[Array, ""]:
-    """The largest τ with which no row of p + τ d is longer than its limit."""
+    """Return the largest τ with no row of p + τ d longer than its limit."""
 
     def of_rows(p: Array, d: Array, limit: Array) -> Array:
         along, square = jnp.sum(p * d, axis=1), jnp.sum(d * d, axis=1)
         room = jnp.maximum(limit**2 - jnp.sum(p * p, axis=1), 0)
         root = jnp.sqrt(along**2 + square * room)
-        # of both forms of the root the one that does not cancel
+        # the form of the root without cancellation
         outward = along > 0
         over = jnp.where(outward, along + root, jnp.where(square > 0, square, 1))
         rate = jnp.where(outward, room, root - along)
@@ -139,7 +137,7 @@ def _to_border(p: Nodes, d: Nodes, limit: Nodes) -> Float[Array, ""]:
 
 
 def _reached(p: Nodes, bound: Nodes) -> Float[Array, ""]:
-    """Length of the rows over their bounds, at most."""
+    """Return the largest ratio of a row's length to its bound."""
 
     def of_rows(p: Array, bound: Array) -> Array:
         return jnp.max(safe_norm(p) / jnp.where(bound > 0, bound, 1))
@@ -155,13 +153,13 @@ def _lessen(
     goal: Float[Array, ""],
     most: Float[Array, ""] | Int[Array, ""],
 ) -> _Step:
-    """Lessen the quadratic model within the region.
+    """Reduce the quadratic model within the trust region.
 
     Args:
-        force: on what may move, 0 elsewhere.
+        force: on free nodes, 0 elsewhere.
         product: H v.
-        limit: length of each row of the step, at most.
-        goal: length of what is left of the force, at which to stop.
+        limit: largest length of each row of the step.
+        goal: length of the residual at which to stop.
         most: bound on the number of products.
     """
 
@@ -196,9 +194,9 @@ def descend_by_trust(
 ) -> Trusted:
     """Move the free nodes until the largest force is at most `tolerance`.
 
-    The region is a ball for each node, as large as the share of the bound of the
-    problem. Where the decrease of the energy drowns in its rounding, a step is judged
-    by the largest force instead.
+    The region is a ball for each node, whose radius is the share of its bound. Where
+    the decrease of the energy is below its rounding, a step is judged by the largest
+    force instead.
 
     Args:
         problem: the energy, and the start.
@@ -218,7 +216,7 @@ def descend_by_trust(
         return going & (best.products < max_products)
 
     def iterate(now: _Now) -> _Now:
-        """Evaluate the trial, take it or not, and lessen the model where it stands."""
+        """Evaluate the trial, accept or reject it, and reduce the model there."""
         best = now.best
         outgrown = problem.outgrown(now.trial, best.lists)
         lists = problem.rebuilt(now.trial, best.lists, outgrown)
@@ -267,31 +265,31 @@ def descend_by_trust(
         )
 
     def exactness(residual: Array) -> Array:
-        """Residual of the linear system, over the force, at which to stop."""
+        """Return the relative residual of the linear system at which to stop."""
         return jnp.clip(jnp.sqrt(residual), 0.3 * tolerance / residual, _COARSEST)
 
     def agreement(now: _Now, energy: Array, residual: Array) -> Array:
-        """Decrease of the energy over that of the model."""
+        """Return the ratio of actual to predicted decrease of the energy."""
         drowned = now.foretold <= rounding * jnp.maximum(1, jnp.abs(now.energy))
         ratio = (now.energy - energy) / jnp.where(drowned, 1, now.foretold)
         nearer = jnp.where(residual < now.best.residual, 1.0, 0.0).astype(ratio.dtype)
         return jnp.where(drowned, nearer, ratio)
 
     def adapted(now: _Now, ratio: Array) -> Array:
-        """The share of their bounds that nodes may move next."""
+        """Return the share of their bounds that nodes may move next."""
         wider = (ratio > 0.75) & (now.reached > 0.99 * now.share)
         share = jnp.where(wider, jnp.minimum(1, 2 * now.share), now.share)
         return jnp.where(ratio >= 0.25, share, 0.25 * now.reached)
 
     def told(tried: Lists, lists: Lists) -> Lists:
-        """Lists that tell the host what it has to do about those that were tried."""
+        """Return lists with the overflow and staleness of those that were tried."""
         larger = jax.tree.map(
             lambda a, b: jnp.where(tried.overflow, a, b), tried, lists
         )
         return larger.with_stale(tried.stale)
 
     def judged(best: Trusted, tried: Lists, bound: Nodes) -> Array:
-        """The code of where it stands."""
+        """Return the code of the accepted state."""
         code = jnp.where(
             best.residual <= tolerance, Result.CONVERGED.code, Result.STEP_LIMIT.code
         )
