@@ -1,7 +1,7 @@
-"""A larger patch for a growth that has come too near the rim of its own.
+"""Enlargement of a patch whose growth has come too near its rim.
 
-What has grown stays: every particle in its place, every vertex of the membrane. A ring
-of organ is taken in around it, with tissue under it.
+All particles and vertices of the membrane keep their positions. A ring of the organ is
+added around them, with tissue under it.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from jaxgrow.organ.tissue import extend_tissue, Tissue
 
 @dataclass(frozen=True, eq=False)
 class Enlargement:
-    """A larger patch and what is new on it, as data that can be replayed.
+    """Larger patch with its additions, as data that can be replayed.
 
     Attributes:
         patch: The larger patch. Local positions are those of the one before.
-        lining: The membrane on it: first the vertices that there were, in their order.
-        tissue: The new particles, to come behind those that there were.
-        held: Which of the particles that there were are held now.
+        lining: The membrane on it: first the earlier vertices, in their order.
+        tissue: The new particles, to be appended to the earlier ones.
+        held: Which of the earlier particles are held now.
         thickness: Of the layer of tissue, in r0.
     """
 
@@ -56,26 +56,26 @@ def enlarge(
     hold: float,
     rng: np.random.Generator,
 ) -> Enlargement:
-    """Take a ring of the organ, and deeper tissue, into a patch that has grown.
+    """Enlarge a patch during growth by a ring of the organ and deeper tissue.
 
     The patch gets every triangle that touches it and those within the radius, so it
     grows on every side, whatever the radius: the whole old rim becomes free. The ring
     is refined and joined to the membrane (``extend_lining``); tissue is put under it,
-    and under the old layer where that gets thicker, around the particles that are there
+    and under the old layer where that gets thicker, around the particles present
     (``extend_tissue``). A held particle stays held only near the new sides and bottom;
     a free one stays free. All lengths are in r0.
 
-    The new tissue and the ring are not in equilibrium: relax them before going on.
+    The new tissue and the ring are not in equilibrium: relax them before continuing.
 
     Args:
         organ: The organ.
         patch: The patch that the membrane grew from.
-        lining: The membrane as it is.
-        points: All particles, tissue and tumour, as they are.
+        lining: The membrane at present.
+        points: All particles at present, tissue and tumour.
         held: Which of them are held.
         radius: Of the new patch, along the surface.
         thickness: Of the new layer of tissue.
-        thickness_before: Of the layer that there is.
+        thickness_before: Of the old layer of tissue.
         density: Of the new tissue, particles per r0³.
         max_area: Triangles of the ring above it (r0²) are subdivided.
         min_area: Triangles of the ring below it (r0²) are collapsed.
@@ -84,7 +84,7 @@ def enlarge(
         rng: Draws the new tissue.
 
     Returns:
-        The patch, the membrane, the new particles and who is held.
+        The patch, the membrane, the new particles and the held ones.
 
     Raises:
         OrganError: If the patch would take nearly the whole organ, the layer would
@@ -120,7 +120,7 @@ def enlarge(
 
 
 def _grown_organ(organ: Organ, patch: Patch, lining: Lining) -> Sides:
-    """The organ with the lesion, in local positions."""
+    """Return the organ with the lesion, in local positions."""
     surface, organ_index = lining
     vertices_mm = patch.to_mm(surface.vertices)
     merged = merge(organ, patch, vertices_mm, surface.faces, organ_index)

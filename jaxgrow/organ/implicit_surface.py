@@ -21,14 +21,14 @@ def round_cone(
     start_radius: float,
     end_radius: float,
 ) -> Float[np.ndarray, "n"]:
-    """Signed distance to the convex hull of two spheres, negative inside.
+    """Compute the signed distance to a round cone, negative inside.
 
-    In the plane of a point and the axis the hull is bounded by two arcs and the
-    tangent that touches both; which of the three is nearest depends on which side of
-    the tangent's two end normals the point lies.
+    A round cone is the convex hull of two spheres. In the plane of a point and the axis
+    the hull is bounded by two arcs and the tangent that touches both; the point's side
+    of the tangent's two end normals decides which of the three is nearest.
 
     Args:
-        points: Where to evaluate.
+        points: Evaluation points.
         start: Centre of the first sphere.
         end: Centre of the second sphere.
         start_radius: Radius of the first sphere.
@@ -66,7 +66,7 @@ def round_cone(
 def smooth_union(
     distances: Float[np.ndarray, "parts n"], blend: float
 ) -> Float[np.ndarray, "n"]:
-    """Union of bodies with rounded seams: -b log Σ exp(-d / b).
+    """Unite bodies with rounded seams: -b log Σ exp(-d / b).
 
     Never above the smallest distance and at most b log(parts) below it, so it fills
     the seams by about b log 2.
@@ -82,7 +82,7 @@ def smooth_union(
 def gradient(
     field: Field, points: Float[np.ndarray, "n 3"], step: float
 ) -> Float[np.ndarray, "n 3"]:
-    """Gradient of a field by central differences of half-width ``step``."""
+    """Compute a field's gradient by central differences of half-width step."""
     shifts = step * np.eye(3)
     columns = [field(points + shift) - field(points - shift) for shift in shifts]
     return np.stack(columns, axis=1) / (2 * step)
@@ -95,7 +95,7 @@ def project(
     step: float,
     iterations: int,
 ) -> Float[np.ndarray, "n 3"]:
-    """Points moved onto the surface by Newton steps -f ∇f / |∇f|².
+    """Project points onto the surface by Newton steps -f ∇f / |∇f|².
 
     Args:
         field: The field, zero on the surface.

@@ -1,4 +1,4 @@
-"""The space under a patch that tissue fills."""
+"""Layer under a patch that tissue fills."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from jaxgrow.organ.signed_distance import Sides
 
 
 class Found(NamedTuple):
-    """Points that lie in a space, and how deep under the organ's surface.
+    """Points in a layer, with their depth under the organ's surface.
 
     Attributes:
         points: Local positions in r0.
@@ -31,11 +31,12 @@ class Found(NamedTuple):
 
 
 class Layer:
-    """The layer under a patch.
+    """Layer of tissue under a patch.
 
-    It is what lies on the tissue's side, has its nearest point of the organ's surface
-    on the patch, and is between ``gap`` and ``thickness`` away from it. Its sides are
-    the walls that drop from the rim along its normals. All lengths are in r0.
+    It holds the points that lie on the tissue's side, have their nearest point of the
+    organ's surface on the patch, and are between ``gap`` and ``thickness`` away from
+    it. Its sides are the walls that drop from the rim along its normals. All lengths
+    are in r0.
 
     Attributes:
         gap: Free depth just under the surface.
@@ -50,8 +51,8 @@ class Layer:
         self.gap, self.thickness = gap, thickness
         self.low = patch.vertices.min(axis=0) - thickness
         self.high = patch.vertices.max(axis=0) + thickness
-        # no triangle further than the thickness from the box can be the nearest one
-        # of a point of the layer
+        # a triangle farther than the thickness from the box cannot be the nearest one
+        # of a point in the layer
         self._surface = Sides(
             patch.to_local(organ.vertices),
             organ.faces,
@@ -67,7 +68,7 @@ class Layer:
         self._walls = _side_walls(patch, -organ.lumen_sign * normals, thickness)
 
     def inside(self, points: Float[np.ndarray, "n 3"]) -> Found:
-        """The points that lie in the layer."""
+        """Select the points that lie in the layer."""
         reach = self.thickness + self._radius
         centre = self._centres.query(points, distance_upper_bound=reach)[0]
         points = points[np.isfinite(centre)]
@@ -81,7 +82,7 @@ class Layer:
         return Found(points[inside], depth[inside], face[inside])
 
     def depth(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
-        """Exact distance to the organ's surface, on either side of it."""
+        """Compute the exact distance to the organ's surface, on either side."""
         return self._surface.measure(points).distance
 
     def near_edge(
@@ -90,7 +91,10 @@ class Layer:
         depth: Float[np.ndarray, "n"],
         margin: float,
     ) -> Bool[np.ndarray, "n"]:
-        """Whether points of this depth are within a margin of the bottom or a side."""
+        """Return whether points of this depth are within a margin of an edge.
+
+        Edges are the bottom and the sides.
+        """
         if not len(points):
             return np.zeros(0, dtype=bool)
         beside = nearest_on_mesh(points, *self._walls)[0]
@@ -98,10 +102,10 @@ class Layer:
 
 
 class Addition:
-    """What a wider or deeper layer has more than the one before it.
+    """Part of a wider or deeper layer that is not in the one before.
 
-    A point of it lies in the new layer and not in the old one, and has the gap to the
-    surface as it has grown, behind which it lies.
+    A point of it lies in the new layer, not in the old one, and behind the grown
+    surface by at least the gap.
 
     Attributes:
         layer: The new layer.
@@ -117,7 +121,7 @@ class Addition:
         grown: Sides,
         sign: int,
     ) -> None:
-        """The space between two layers under a grown surface.
+        """Set up the difference of two layers under a grown surface.
 
         Args:
             layer: The new one.
@@ -132,7 +136,7 @@ class Addition:
         self._thickness = thickness_before
 
     def inside(self, points: Float[np.ndarray, "n 3"]) -> Found:
-        """The points that lie in the space."""
+        """Select the points that lie in the added part."""
         points, depth, face = self.layer.inside(points)
         new = ~self._on_patch[face] | (depth > self._thickness)
         points, depth, face = points[new], depth[new], face[new]
@@ -144,7 +148,7 @@ class Addition:
 def _side_walls(
     patch: Patch, down: Float[np.ndarray, "m 3"], thickness: float
 ) -> tuple[Float[np.ndarray, "w 3"], Int[np.ndarray, "s 3"]]:
-    """The strip from the rim down to the bottom, two triangles a rim edge."""
+    """Build the strip from the rim to the bottom, two triangles per rim edge."""
     topology = build_topology(patch.faces, len(patch.vertices))
     bottom = patch.vertices + thickness * unit(down)
     first, second = topology.edges[~topology.interior].T

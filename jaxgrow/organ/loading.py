@@ -1,4 +1,4 @@
-"""Organs from files: OBJ, PLY, STL, GLB and OFF through trimesh."""
+"""Readers of organ files: OBJ, PLY, STL, GLB and OFF, through trimesh."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from jaxgrow.organ.validity import (
 
 
 FORMATS = (".obj", ".ply", ".stl", ".glb", ".off")
-"""Formats that are read, by the file's ending."""
+"""Supported formats, by the file's suffix."""
 
 
 def load_organ(
@@ -30,16 +30,16 @@ def load_organ(
     unit_mm: float = 1.0,
     tissue: Literal["outside", "inside"] = "outside",
 ) -> Organ:
-    """Read an organ's surface and check it.
+    """Read an organ's surface and validate it.
 
-    Vertices keep the file's order and, where ``unit_mm`` is 1, their exact
-    coordinates. STL has no shared vertices at all and GLB splits them at seams of
-    normals and textures, so in these two formats exactly coincident vertices are made
-    one, in the order of first occurrence; in the others duplicates are an error. The
-    node transforms of a GLB scene are applied.
+    Vertices keep the file's order and, where ``unit_mm`` is 1, their exact coordinates.
+    STL has no shared vertices at all and GLB splits them at seams of normals and
+    textures, so in these two formats exactly coincident vertices are merged, in the
+    order of first occurrence; in the others duplicates are an error. The node
+    transforms of a GLB scene are applied.
 
     Args:
-        path: The file; its ending says which format.
+        path: The file; its suffix gives the format.
         unit_mm: Length of the file's unit in mm.
         tissue: On which side of the surface the tissue lies.
 
@@ -90,7 +90,7 @@ def _read(
     kind = path.suffix.lower()[1:]
     import trimesh  # not above: it takes a third of a second to import
 
-    # trimesh complains to its log about files that we then refuse in words
+    # trimesh logs complaints about files that we then refuse with a message
     logger = logging.getLogger("trimesh")
     level = logger.level
     logger.setLevel(logging.CRITICAL)
@@ -105,7 +105,7 @@ def _read(
     except OSError as error:
         msg = f"{path} cannot be read ({error.strerror}): check its permissions."
         raise OrganError(msg) from error
-    # a damaged file makes a parser fail in any way
+    # parsers may raise anything on a damaged file
     except Exception as error:
         msg = (
             f"{path} is no {kind.upper()} mesh that can be read "
@@ -137,7 +137,7 @@ def _read(
 
 
 def _positions_only(data: bytes) -> bytes:
-    """An OBJ file's vertices and faces without normals, textures and groups.
+    """Strip normals, textures and groups from the text of an OBJ file.
 
     trimesh splits the vertices of an OBJ file wherever two triangles refer to
     different normals or texture coordinates; the surface has no such seams.

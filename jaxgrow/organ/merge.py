@@ -1,4 +1,4 @@
-"""The grown patch joined to the rest of the organ, vertex for vertex."""
+"""Union of the grown patch with the rest of the organ, vertex for vertex."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from jaxgrow.organ.patch import Patch
 
 
 class Merged(NamedTuple):
-    """An organ with a grown patch in place of the original one.
+    """Organ with a grown patch in place of the original one.
 
     Attributes:
         vertices: In mm: first the organ's, without the patch's interior, in their
             order and with their exact coordinates; then the grown ones.
         faces: First the organ's outside the patch, in their order; then the grown
             ones. Normals point out of the closed surface.
-        origin: For each vertex the organ's vertex that it was, -1 for a new one.
+        origin: For each vertex its index in the organ, -1 for a new one.
         placed: For each vertex of the grown patch its index in ``vertices``.
     """
 
@@ -38,20 +38,20 @@ def merge(
 ) -> Merged:
     """Replace a patch by the surface that grew from it.
 
-    The rim is shared by index: its coordinates are the organ's, those given for it are
-    not used. The result is closed and a manifold, with the organ's Euler number, if
-    the grown surface is a manifold of the patch's Euler number with the patch's rim.
+    The rim is shared by index: its coordinates are the organ's, and the given ones are
+    ignored. The result is closed and a manifold, with the organ's Euler number, if the
+    grown surface is a manifold of the patch's Euler number with the patch's rim.
 
     Args:
         organ: The organ.
         patch: The patch that was cut out of it.
         vertices_mm: The grown surface's vertices in mm.
         faces: Its faces, normals into the lumen.
-        organ_index: For each of its vertices the organ's vertex that it is or was,
-            -1 for a vertex that growth added.
+        organ_index: For each of its vertices its index in the organ, -1 for a vertex
+            that growth added.
 
     Returns:
-        The joined surface and where its vertices came from.
+        The joined surface and the origin of its vertices.
 
     Raises:
         OrganError: If the grown surface does not have the patch's rim.
@@ -80,7 +80,7 @@ def merge(
 def _check_rim(
     patch: Patch, faces: Int[np.ndarray, "g 3"], organ_index: Int[np.ndarray, "p"]
 ) -> None:
-    """The rim's directed edges, in the organ's numbers, must be those of the patch."""
+    """Raise if the rim's directed edges differ from those of the patch."""
     before = _rim_edges(patch.faces, patch.organ_index)
     after = _rim_edges(faces, organ_index)
     if before != after:

@@ -1,4 +1,4 @@
-"""An organ, places on it, and how much room the lumen leaves there."""
+"""Organ, sites on its surface, and free room of its lumen."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from jaxgrow.organ.validity import OrganError, place
 
 
 REACH_MM = 1.0
-"""A site given by coordinates may lie this far from the surface."""
+"""Largest distance from the surface of a site given by coordinates."""
 
 
 @dataclass(frozen=True, eq=False)
 class Organ:
-    """A closed surface with tissue on one of its sides.
+    """Closed surface with tissue on one of its sides.
 
     Attributes:
         name: For messages and reports.
@@ -41,13 +41,13 @@ class Organ:
 
     @property
     def lumen_sign(self) -> int:
-        """What turns an outward normal into one that points into the lumen."""
+        """Sign that turns an outward normal into one that points into the lumen."""
         return -1 if self.tissue == "outside" else 1
 
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """A point on an organ's surface.
+    """Point on an organ's surface.
 
     Attributes:
         name: The site's name, or its coordinates as text.
@@ -102,14 +102,14 @@ def locate_site(organ: Organ, site: str | tuple[float, float, float]) -> Site:
 
 
 def room(organ: Organ, site: Site) -> float:
-    """Free distance along the site's normal to the opposite wall.
+    """Return the free distance along the site's normal to the opposite wall.
 
-    A ray from the site into the lumen is cut with all triangles. The first 10⁻⁶ of
-    the organ's diagonal is ignored, and so are the triangles around the site.
+    A ray from the site into the lumen is intersected with all triangles. The first 10⁻⁶
+    of the organ's diagonal is ignored, and so are the triangles around the site.
 
     Args:
         organ: The organ.
-        site: Where the ray starts.
+        site: Start of the ray.
 
     Returns:
         The distance in mm, infinite if the ray meets nothing (a solid organ).
@@ -127,7 +127,7 @@ def room(organ: Organ, site: Site) -> float:
     turned = np.cross(-a, b - a)
     v = np.einsum("fi,fi->f", normal, turned) / determinant
     t = np.einsum("fi,fi->f", c - a, turned) / determinant
-    # a hair of slack, so that a ray through an edge does not slip between two
+    # a tolerance, so that a ray through an edge does not miss both triangles
     slack = 1e-12
     hit = ~parallel & (u >= -slack) & (v >= -slack) & (u + v <= 1 + slack)
     hit &= t > 1e-6 * float(lengths(np.ptp(local, axis=0)[None])[0])

@@ -1,4 +1,4 @@
-"""The piece of an organ's surface that a lesion grows on."""
+"""Patch of an organ's surface that a lesion grows on."""
 
 from __future__ import annotations
 
@@ -16,26 +16,25 @@ from jaxgrow.organ.validity import place
 
 
 FEWEST_FACES = 12
-"""A patch of fewer triangles has hardly a vertex that is free to move."""
+"""Least number of triangles: a smaller patch has hardly any free vertex."""
 
 LARGEST_ISLAND = 0.5
-"""Of the patch's area: enclosed pieces below it are filled in. Larger ones are the
-organ going on, as on both sides of a patch that goes round a tube, which has two rims.
-"""
+"""Share of the patch's area below which enclosed pieces are filled in. Larger ones are
+parts of the organ, as on both sides of a patch around a tube, which has two rims."""
 
 LARGEST_SHARE = 0.9
-"""Of the organ's area; a patch that takes more leaves nothing to hold it."""
+"""Largest share of the organ's area: a larger patch would have no support."""
 
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """A connected piece of an organ's surface, seen from the lumen.
+    """Connected piece of an organ's surface, seen from the lumen.
 
-    Lengths inside a simulation are in r0 and positions relative to the site, so an
-    organ far from the origin of its coordinates loses no digits.
+    Lengths inside a simulation are in r0 and positions relative to the site, so no
+    digits are lost for an organ far from the origin of its coordinates.
 
     Attributes:
-        site: Where the lesion grows; the origin of local positions.
+        site: Centre of the lesion; the origin of local positions.
         r0_mm: Length of one r0 in mm.
         face_mask: The organ's triangles that are in the patch.
         organ_index: For each vertex of the patch, its index in the organ.
@@ -53,11 +52,11 @@ class Patch:
     rim: Bool[np.ndarray, "m"]
 
     def to_local(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """Points in mm as positions in r0 relative to the site: (x - x_site) / r0."""
+        """Convert points in mm to local positions in r0: (x - x_site) / r0."""
         return (points - self.site.point) / self.r0_mm
 
     def to_mm(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """Local positions in r0 as points in mm: x_site + r0 u."""
+        """Convert local positions in r0 to points in mm: x_site + r0 u."""
         return self.site.point + self.r0_mm * points
 
 
@@ -65,10 +64,10 @@ def cut_patch(organ: Organ, site: Site, radius_mm: float, *, r0_mm: float) -> Pa
     """Cut out the triangles within a distance along the surface from a site.
 
     The distance is that of shortest paths over the mesh (``distances_along``), so the
-    opposite wall of a thin lumen is far away. The patch is made simple: the piece that
-    holds the site, islands that it encloses filled in, vertices where it touches
-    itself taken in with all their triangles. It may go round a tube; then it has two
-    rims.
+    opposite wall of a thin lumen is far away. The patch is made simple: only the piece
+    that holds the site is kept, islands that it encloses are filled in, and vertices
+    where it touches itself are added with all their triangles. It may go round a tube;
+    then it has two rims.
 
     Args:
         organ: The organ.
@@ -77,7 +76,7 @@ def cut_patch(organ: Organ, site: Site, radius_mm: float, *, r0_mm: float) -> Pa
         r0_mm: Length of one r0 in mm, the unit of the patch's vertices.
 
     Returns:
-        The patch; it has a rim.
+        The patch, with a rim.
 
     Raises:
         OrganError: If the patch is too small or takes nearly the whole organ.
@@ -110,7 +109,7 @@ def widen_patch(organ: Organ, patch: Patch, radius_mm: float) -> Patch:
 def seen_from_lumen(
     organ: Organ, mask: Bool[np.ndarray, "F"]
 ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "f 3"]]:
-    """Some of the organ's triangles on their own, normals into the lumen.
+    """Extract some of the organ's triangles, with normals into the lumen.
 
     Args:
         organ: The organ.
@@ -134,7 +133,7 @@ def _cut(
     r0_mm: float,
     taken: Int[np.ndarray, "k"],
 ) -> Patch:
-    """The patch of a radius, and of vertices that are taken in at any distance."""
+    """Cut the patch of a radius, with vertices taken at any distance."""
     topology = build_topology(organ.faces, len(organ.vertices))
     local = organ.vertices - site.point
     reached = distances_along(local, organ.faces, topology, site.face) <= radius_mm
@@ -182,7 +181,7 @@ def distances_along(
     topology: Topology,
     face: int,
 ) -> Float[np.ndarray, "m"]:
-    """Shortest paths along the surface from the origin, which lies on ``face``.
+    """Compute shortest paths along the surface from the origin on ``face``.
 
     Paths run straight from the origin to the corners of its triangle and its three
     neighbours, then over edges and over the diagonals of pairs of triangles folded
@@ -208,7 +207,7 @@ def distances_along(
     around = faces[np.unique(topology.edge_faces[topology.face_edges[face]])]
     near = np.unique(around)
     ends.append(np.stack([np.full(len(near), size), near], axis=1))
-    # a start exactly on a vertex: a stored zero would be no edge
+    # for a start on a vertex: the graph drops edges of length 0
     costs.append(np.maximum(lengths(local[near]), np.finfo(float).tiny))
     pairs = np.concatenate(ends)
     graph = coo_array(
@@ -220,10 +219,10 @@ def distances_along(
 def _diagonals(
     local: Float[np.ndarray, "m 3"], topology: Topology
 ) -> tuple[Int[np.ndarray, "d 2"], Float[np.ndarray, "d"]]:
-    """Apexes of triangle pairs, and their distance with the pair folded flat.
+    """Find apexes of triangle pairs, and their distance when unfolded.
 
-    Only pairs whose flat quadrilateral is convex count: there the straight line
-    crosses the common edge.
+    The distance is that in the plane, for pairs whose quadrilateral is convex: there
+    the straight line crosses the common edge.
     """
     inner = topology.interior
     first, second = topology.edges[inner].T
@@ -261,9 +260,9 @@ def _simple(
     topology: Topology,
     face: int,
 ) -> Bool[np.ndarray, "f"]:
-    """Connected, without islands and without bow ties.
+    """Make a patch connected, without islands and without bow ties.
 
-    Every round only adds triangles, so it ends.
+    Every round only adds triangles, so it terminates.
     """
     piece = _pieces(mask, topology)
     mask = piece == piece[face]
@@ -274,7 +273,7 @@ def _simple(
         if outside.any():
             size = np.bincount(rest[outside], weights=area[outside])
             island = size < LARGEST_ISLAND * area[mask].sum()
-            # the largest piece of the rest is the organ, however large the patch
+            # the largest piece of the rest is always the organ
             island[np.argmax(size)] = False
             mask = mask | (outside & island[rest])
         part = np.flatnonzero(mask)
@@ -286,7 +285,7 @@ def _simple(
 
 
 def _pieces(mask: Bool[np.ndarray, "f"], topology: Topology) -> Int[np.ndarray, "f"]:
-    """Number of each face's piece of ``mask``, joined over edges; -1 elsewhere."""
+    """Label each face by its edge-connected piece of ``mask``; -1 elsewhere."""
     links = topology.edge_faces[topology.interior]
     links = links[mask[links].all(axis=1)]
     graph = coo_array(

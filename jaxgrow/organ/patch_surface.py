@@ -1,4 +1,4 @@
-"""The membrane of a patch: the organ's triangles at the particles' scale."""
+"""Membrane of a patch: the organ's triangles at the particles' scale."""
 
 from __future__ import annotations
 
@@ -16,12 +16,11 @@ from jaxgrow.organ.patch import Patch, seen_from_lumen
 
 
 class Lining(NamedTuple):
-    """A membrane and what its vertices are in the organ.
+    """Membrane, with the indices of its vertices in the organ.
 
     Attributes:
         surface: Local positions in r0; fixed at the patch's rim.
-        organ_index: For each vertex the organ's vertex that it is or was, -1 for one
-            that was added.
+        organ_index: For each vertex its index in the organ, -1 for one that was added.
     """
 
     surface: Surface
@@ -35,11 +34,11 @@ def line_patch(
     max_area: float,
     min_area: float,
 ) -> Lining:
-    """The membrane that growth starts with.
+    """Build the membrane that growth starts with.
 
     The patch's triangles are subdivided and faired, with the rim kept. An edge across
-    the patch between two vertices of the rim is split where the rest of the organ has
-    one between them too: joined again, four triangles would meet at it.
+    the patch between two vertices of the rim is split if the rest of the organ has the
+    same edge: joined, four triangles would meet at it.
 
     Args:
         organ: The organ.
@@ -66,11 +65,11 @@ def extend_lining(
     max_area: float,
     min_area: float,
 ) -> Lining:
-    """The membrane as it has grown, with the ring of a wider patch joined to it.
+    """Extend the grown membrane by the ring of a wider patch.
 
     The ring between the two rims is refined as in ``line_patch``, with both rims kept
-    and clear of what has grown, and joined at the old rim vertex for vertex. The grown
-    vertices come first, in their order; those of the old rim are free now.
+    and clear of the grown surface, and joined at the old rim vertex for vertex. The
+    grown vertices come first, in their order; those of the old rim are free now.
 
     Args:
         lining: The membrane, grown.
@@ -85,8 +84,8 @@ def extend_lining(
         The membrane on the wider patch, with the same source.
 
     Raises:
-        OrganError: If the result is no oriented manifold with the wider patch's Euler
-            number, as the grown membrane was none of the patch.
+        OrganError: If the result is not an oriented manifold with the wider patch's
+            Euler number, because the grown membrane had another one than its patch.
     """
     grown, organ_index = lining
     seat = np.full(len(organ.vertices), -1)
@@ -120,11 +119,11 @@ def _ring(
     patch: Patch,
     wider: Patch,
 ) -> Lining:
-    """The organ between two rims; the old one's vertices to the bit as they are.
+    """Extract the organ between two rims; the old rim keeps its coordinates.
 
     Args:
         lining: On the patch.
-        seat: For each of the organ's vertices the one of the old rim that it is, or -1.
+        seat: For each of the organ's vertices its index on the old rim, or -1.
         organ: The organ.
         patch: The patch that has grown.
         wider: The one around it.
@@ -147,7 +146,7 @@ def _refined(
     min_area: float,
     walls: Float[np.ndarray, "w 3 3"] | None = None,
 ) -> Lining:
-    """A piece of the organ at the particles' scale."""
+    """Refine a piece of the organ to the particles' scale."""
     surface, refined = refine(surface, max_area)
     surface, faired = fair(
         surface, particles, max_area=max_area, min_area=min_area, walls=walls
@@ -160,16 +159,16 @@ def _traced(
     organ_index: Int[np.ndarray, "m"],
     origin: Int[np.ndarray, "k"],
 ) -> Lining:
-    """A surface after a remeshing, with the organ's numbers carried along."""
+    """Return a remeshed surface with the organ's indices carried along."""
     return Lining(surface, np.where(origin >= 0, organ_index[origin], -1))
 
 
 def _without_chords(
     lining: Lining, beyond: Int[np.ndarray, "f 3"], size: int
 ) -> Lining:
-    """Edges between two fixed vertices split, where the surface around has them too.
+    """Split edges between fixed vertices that the surface around has too.
 
-    Edge swaps on one side of a rim do not know the edges on its other side.
+    Edge swaps on one side of a rim do not check the edges on its other side.
 
     Args:
         lining: A piece of the organ with fixed rims.
@@ -190,7 +189,7 @@ def _without_chords(
 
 
 def _keys(pairs: Int[np.ndarray, "p 2"], size: int) -> Int[np.ndarray, "p"]:
-    """One number for each unordered pair of the organ's vertices."""
+    """Return one number for each unordered pair of the organ's vertices."""
     return pairs.min(axis=1) * size + pairs.max(axis=1)
 
 

@@ -1,4 +1,4 @@
-"""On which side of an oriented surface a point lies, and how far from it."""
+"""Signed distance to an oriented surface, by pseudonormals."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from jaxgrow.mesh.topology import build_topology
 
 
 class Measured(NamedTuple):
-    """Where points are with respect to a surface.
+    """Distance and side of points with respect to a surface.
 
     Attributes:
         distance: Exact distance to the surface, not negative.
@@ -28,7 +28,7 @@ class Measured(NamedTuple):
 
 
 class Sides:
-    """A surface with the pseudonormals that tell its two sides apart.
+    """Surface with the pseudonormals that give the sign of distances.
 
     The side of a point x is the sign of (x - c) · n with c the closest point and n the
     pseudonormal there: of the triangle, of the edge (sum of its two triangles) or of
@@ -36,8 +36,8 @@ class Sides:
     surface that does not meet itself (Baerentzen & Aanaes, Signed distance computation
     using the angle weighted pseudonormal, IEEE TVCG 11, 2005).
 
-    Only the triangles that reach into a box are kept, where one is given: make it so
-    large that none outside it can be the nearest of a point that is asked for.
+    If a box is given, only the triangles that reach into it are kept: make it so large
+    that none outside it can be the nearest of a query point.
 
     Attributes:
         vertices: All vertices.
@@ -68,7 +68,7 @@ class Sides:
         return Proximity(self.vertices, self.faces)
 
     def measure(self, points: Float[np.ndarray, "n 3"]) -> Measured:
-        """Distance, side and nearest triangle of each point."""
+        """Compute distance, side and nearest triangle of each point."""
         if not len(points):
             return Measured(np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64))
         distance, face, weights = self._proximity.feet(points)
@@ -91,12 +91,12 @@ def _pseudonormals(
 ) -> tuple[
     Float[np.ndarray, "f 3"], Float[np.ndarray, "f 3 3"], Float[np.ndarray, "m 3"]
 ]:
-    """Pseudonormals of the faces, of the three sides of each face, of the vertices."""
+    """Compute the pseudonormals of faces, of their sides, and of vertices."""
     triangles = vertices[faces]
     normal = unit(area_vectors(triangles))
     topology = build_topology(faces, len(vertices))
     left, right = topology.edge_faces.T
-    # a missing neighbour (the cut-out's end) adds nothing
+    # a missing neighbour (at the end of the cut-out) adds 0
     of_edge = np.where(left[:, None] >= 0, normal[left], 0)
     of_edge = of_edge + np.where(right[:, None] >= 0, normal[right], 0)
     to_next = unit((triangles[:, [1, 2, 0]] - triangles).reshape(-1, 3))

@@ -17,16 +17,16 @@ from jaxgrow.organ.implicit_surface import Field, project
 
 
 SEED_DENSITY = 12
-"""Random candidates a point kept: enough for a blue-noise sample without gaps."""
+"""Random candidates per kept point: enough for a blue-noise sample without gaps."""
 
 SEED_DISTANCE = 0.72
-"""Smallest distance of the starting points over the edge length that comes out."""
+"""Smallest distance of the starting points over the resulting edge length."""
 
 ROUNDS = 8
-"""Rounds of triangulating anew."""
+"""Rounds of retriangulation."""
 
 SWEEPS = 4
-"""Smoothing sweeps a round."""
+"""Smoothing sweeps per round."""
 
 
 def scatter(
@@ -36,11 +36,11 @@ def scatter(
     edge: float,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "n 3"]:
-    """Random points on the surface, none closer to another than about ``edge``.
+    """Sample the surface at random, with a distance of about ``edge``.
 
     Candidates are drawn uniformly in the cells of a grid that the surface may cross,
-    those in a thin shell around it are projected onto it, and of these every one is
-    kept, in random order, that has no kept one near.
+    those in a thin shell around it are projected onto it, and of these, in random
+    order, each without a kept one near is kept (Poisson disc sampling).
     """
     shell = 0.5 * edge
     cell = 2 * edge
@@ -72,7 +72,7 @@ def scatter(
 def circumcentres(
     points: Float[np.ndarray, "n 3"], tetrahedra: Int[np.ndarray, "t 4"]
 ) -> Float[np.ndarray, "t 3"]:
-    """Centres of the spheres through the corners; far away for flat tetrahedra."""
+    """Compute the circumcentres of tetrahedra; far away for flat ones."""
     origin = points[tetrahedra[:, 0]]
     a, b, c = (points[tetrahedra[:, k]] - origin for k in (1, 2, 3))
     squares = [np.einsum("ij,ij->i", e, e)[:, None] for e in (a, b, c)]
@@ -87,13 +87,15 @@ def circumcentres(
 def restricted_delaunay(
     field: Field, points: Float[np.ndarray, "n 3"], reach: float
 ) -> Int[np.ndarray, "f 3"]:
-    """Delaunay faces between inside and outside, counter-clockwise from outside.
+    """Find the Delaunay faces between inside and outside.
+
+    They are counter-clockwise seen from outside.
 
     Args:
         field: Negative inside.
         points: Points on the surface.
-        reach: Circumcentres are drawn back to this distance from their tetrahedron's
-            first corner before the field is asked (flat tetrahedra have them anywhere).
+        reach: Circumcentres are clipped to this distance around the points' box before
+            the field is evaluated (flat tetrahedra have them anywhere).
     """
     delaunay = Delaunay(points)
     tetrahedra = delaunay.simplices
@@ -115,7 +117,7 @@ def restricted_delaunay(
 def spread(
     points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "f 3"]
 ) -> Float[np.ndarray, "n 3"]:
-    """One sweep of mutual repulsion along the edges.
+    """Apply one sweep of mutual repulsion along the edges.
 
     An edge of length l pushes its ends apart by (l0 - l)+ / 5 each, with l0 = 1.2
     times the root mean square length (Persson & Strang, A simple mesh generator in
@@ -144,7 +146,7 @@ def tessellate(
     rng: np.random.Generator,
     pinned: Float[np.ndarray, "k 3"] | None = None,
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "f 3"]]:
-    """Closed triangulation of the zero set of ``field`` with even triangles.
+    """Triangulate the zero set of ``field`` with even triangles, closed.
 
     Args:
         field: Negative inside, about a distance near the surface.

@@ -26,28 +26,28 @@ JAMMED = 1.43
 """Particles per spacing³ at which random packing jams for that distance."""
 
 SHRINK = 0.95
-"""Factor on the smallest distance when no more particles fit."""
+"""Factor on the smallest distance if no more particles fit."""
 
 MOST_SHRINKS = 2
-"""By this many factors the distance may fall below the one that a density dictates,
-where particles are added around others."""
+"""Number of such factors by which the distance may fall below that of the density, if
+particles are added around others."""
 
 PATIENCE = 20
-"""Batches of candidates in a row that may bring less than a hundredth of what is
-missing before the distance shrinks."""
+"""Batches of candidates in a row that may place less than a hundredth of the missing
+particles before the distance shrinks."""
 
 BATCH = 2000
-"""Darts a batch."""
+"""Darts per batch."""
 
 LATEST = 0.1
-"""Share of the darts that may come before the tree of the others is made anew."""
+"""Share of new darts from which on the tree of the others is rebuilt."""
 
 CELL = 0.7
 """Side, over the spacing, of the cells that the layer is surveyed with."""
 
 FEWEST_CELLS, MOST_CELLS = 12_000, 40_000
-"""Of a survey: a small layer's volume is to be known to a per cent or two, and a large
-one is to be surveyed in a second."""
+"""Bounds of the cells of a survey: enough for the volume of a small layer to a per cent
+or two, and few enough to survey a large one in a second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class Tissue:
         held: Those near the bottom or the sides of the layer, which stay in place.
         depth: Distance of each to the organ's surface in r0.
         distance: The smallest distance of two points that was enforced, in r0.
-        volume: Of the layer in r0³, estimated.
+        volume: Estimated volume of the layer, in r0³.
     """
 
     points: Float[np.ndarray, "n 3"]
@@ -80,14 +80,13 @@ def fill_tissue(
     hold: float,
     rng: np.random.Generator,
 ) -> Tissue:
-    """Fill the layer under a patch with random particles, none close to another.
+    """Fill the layer under a patch with random particles (dart throwing).
 
-    The layer is what lies on the tissue's side, has its nearest point of the organ's
-    surface on the patch, and is between ``gap`` and ``thickness`` away from it. Darts
-    are thrown at it; one that lands within 0.8 ``spacing`` of an earlier one is
+    The layer is that of `Layer`: between ``gap`` and ``thickness`` under the patch.
+    Darts are thrown at it; one that lands within 0.8 ``spacing`` of an earlier one is
     discarded (paper section 3: tissue is distributed randomly; the minimum distance is
-    ours, so that relaxation has little to do). If no more fit, the distance shrinks.
-    All lengths are in r0.
+    ours, so that relaxation takes few steps). If no more fit, the distance shrinks. All
+    lengths are in r0.
 
     Args:
         organ: The organ.
@@ -103,7 +102,7 @@ def fill_tissue(
         The particles.
 
     Raises:
-        OrganError: If a length makes no sense or the layer has no room.
+        OrganError: If a length is invalid or the layer has no room.
     """
     _check_lengths(spacing, density, thickness, gap, hold)
     layer = Layer(organ, patch, gap, thickness)
@@ -133,15 +132,15 @@ def extend_tissue(
     hold: float,
     rng: np.random.Generator,
 ) -> Tissue:
-    """Fill what a layer has more than the one before it, around the particles there.
+    """Fill the added part of a layer, around the particles present.
 
     Darts are thrown as in ``fill_tissue``, none near a particle. Particles that have
-    moved into the new space count for its density. So that none is put too close to
-    one of them, the distance shrinks ``MOST_SHRINKS`` times at most below that at
-    which random packing has the density; then what does not fit is left out.
+    moved into the new space count for its density. So that none is placed too close to
+    one of them, the distance shrinks at most ``MOST_SHRINKS`` times below that at which
+    random packing has the density; the particles that do not fit then are left out.
 
     Args:
-        space: What the layer has more.
+        space: The added part of the layer.
         points: The particles, wherever they have moved.
         spacing: Distance of neighbours that the particles are to have.
         density: Particles per spacing³.
@@ -152,7 +151,7 @@ def extend_tissue(
         The new particles; there may be none.
 
     Raises:
-        OrganError: If a length makes no sense.
+        OrganError: If a length is invalid.
     """
     layer = space.layer
     _check_lengths(spacing, density, layer.thickness, layer.gap, hold)
@@ -188,10 +187,10 @@ def _check_lengths(
 
 @dataclass(frozen=True, eq=False)
 class _Survey:
-    """One random point in each cell of a grid over the layer's box, if in the layer.
+    """Random points of a layer, one per grid cell, that measure its volume.
 
     Stratified points measure the volume much better than independent ones, and they
-    tell where to throw darts.
+    give the targets of darts. Cells whose point is outside have none.
     """
 
     points: Float[np.ndarray, "n 3"]
@@ -226,19 +225,19 @@ def _throw_darts(
     around: Float[np.ndarray, "a 3"] | None = None,
     least: float = 0.0,
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n"], float]:
-    """Particles until there are enough, at the largest distance that allows it.
+    """Place particles at random, at the largest distance that allows enough.
 
-    The survey's points are the first darts; further ones fall within one cell of
-    those, which reaches every corner of the space and seldom misses it.
+    The survey's points are the first darts; further ones fall within one cell of those,
+    which covers the whole space and seldom misses it.
 
     Args:
         space: To be filled.
         survey: Of the space.
-        wanted: How many particles.
-        distance: Of any two of them, at first.
+        wanted: Number of particles.
+        distance: Initial least distance of any two of them.
         rng: Draws the darts.
-        around: Particles that are there already.
-        least: The distance does not shrink below it; rather there are fewer particles.
+        around: Particles already present.
+        least: Bound of the distance; if it is reached, fewer particles are placed.
 
     Returns:
         The particles, their depths, and the distance in the end.
@@ -268,14 +267,14 @@ def _throw_darts(
 
 
 class _Taken:
-    """Points in two trees: of most, and of the latest, which is made anew each time."""
+    """Points in two trees: most of them, and the latest, rebuilt each time."""
 
     def __init__(self, points: Float[np.ndarray, "n 3"]) -> None:
         self._most, self._latest = points, points[:0]
         self._trees = KDTree(points), KDTree(points[:0])
 
     def add(self, points: Float[np.ndarray, "k 3"]) -> None:
-        """Take more."""
+        """Add points."""
         self._latest = np.concatenate([self._latest, points])
         if len(self._latest) > LATEST * len(self._most):
             self._most = np.concatenate([self._most, self._latest])
@@ -287,7 +286,7 @@ class _Taken:
     def apart(
         self, points: Float[np.ndarray, "n 3"], distance: float
     ) -> Bool[np.ndarray, "n"]:
-        """Points that are not within a distance of any that is taken."""
+        """Return whether points have no taken point within a distance."""
         apart = np.ones(len(points), dtype=bool)
         for tree in self._trees:
             near, _ = tree.query(points[apart], distance_upper_bound=distance)
@@ -296,7 +295,7 @@ class _Taken:
 
 
 def _greedy(points: Float[np.ndarray, "n 3"], distance: float) -> Int[np.ndarray, "k"]:
-    """Points, first come first kept, none closer than ``distance`` to a kept one."""
+    """Select points in order, none closer than ``distance`` to a selected one."""
     free = np.ones(len(points), dtype=bool)
     if len(points):
         pairs = KDTree(points).query_pairs(distance, output_type="ndarray")

@@ -1,4 +1,4 @@
-"""The built-in organ: a uterine cavity, distended as in hysteroscopy.
+"""Built-in organ: a uterine cavity, distended as in hysteroscopy.
 
 The cavity is a smooth union of round cones, flattened from front to back towards the
 fundus: two horns, the arch of the fundus, the body that narrows to the internal os, and
@@ -41,22 +41,22 @@ CANAL_LENGTH_MM = 25.0
 """Cervical canal, internal to external os; about 25 mm in textbooks."""
 
 CORNUAL_ANGLE_DEG = 65.0
-"""Between the line of the horns and the lateral wall; 39-88 degrees (the ultrasound
-study)."""
+"""Angle between the line of the horns and the lateral wall; 39-88 degrees (the
+ultrasound study)."""
 
 CORONAL_AREA_MM2 = 520.0
-"""Of the cavity in the coronal plane; 550 ± 130 mm² (the ultrasound study)."""
+"""Area of the cavity in the coronal plane; 550 ± 130 mm² (the ultrasound study)."""
 
 INDENTATION_MM = 2.2
-"""Of the lateral wall against the straight line from horn to internal os; 0.8-6.4 mm
-(the ultrasound study)."""
+"""Indentation of the lateral wall against the straight line from horn to internal os;
+0.8-6.4 mm (the ultrasound study)."""
 
 FINEST_MM, COARSEST_MM = 0.4, 1.5
-"""Edge lengths that the tessellation is good for: the horns' tips have a radius of
-curvature of about 2 mm."""
+"""Range of edge lengths of the tessellation: the horns' tips have a radius of curvature
+of about 2 mm."""
 
 KEPT_EDGE_MM = 1.0
-"""Edge length of the mesh that comes with the package; making it takes a second."""
+"""Edge length of the mesh in the package; computing it takes a second."""
 
 _KEPT = Path(__file__).with_name("uterus.npz")
 
@@ -66,8 +66,7 @@ FLATTENING = 0.78
 BLEND_MM = 0.9
 """Width of the rounded seams between the parts."""
 
-# start x and z, end x and z, radius at start and end: fitted so that the dimensions
-# above come out
+# start x and z, end x and z, radius at start and end: fitted to the dimensions above
 _PARTS = (
     (13.9, 28.7, 2.0, 20.0, 2.1, 7.8),
     (-13.9, 28.7, -2.0, 20.0, 2.1, 7.8),
@@ -91,7 +90,7 @@ _SITES = {
 
 
 def cavity(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
-    """Field of the cavity: negative in the lumen, about a distance in mm near it."""
+    """Evaluate the cavity's field: negative inside, about a distance in mm."""
     height = np.clip(points[:, 2] / 18, 0, 1)
     squeeze = 1 + (FLATTENING - 1) * height * height * (3 - 2 * height)
     round_points = points.copy()
@@ -110,12 +109,12 @@ def cavity(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
 
 
 def uterus(edge_mm: float = 1.0) -> Organ:
-    """Cavity of a uterus with even triangles and named sites.
+    """Build the cavity of a uterus with even triangles and named sites.
 
-    With edges of 1 mm it is the same mesh everywhere, bit for bit: it is kept in
-    ``uterus.npz``. With others it is made anew, on one machine always the same. The
-    sites are vertices. ``left-cornu`` and ``right-cornu`` lie on the wall of the fundus
-    where the horn begins, where cornual polyps sit, not in the horn's tip.
+    With edges of 1 mm it is the same mesh everywhere, bit for bit: it is stored in
+    ``uterus.npz``. With others it is computed, reproducibly on one machine. The sites
+    are vertices. ``left-cornu`` and ``right-cornu`` lie on the wall of the fundus where
+    the horn begins, where cornual polyps sit, not in the horn's tip.
 
     Args:
         edge_mm: Typical edge length of the triangles in mm.
@@ -124,7 +123,7 @@ def uterus(edge_mm: float = 1.0) -> Organ:
         The organ; its tissue is outside the surface.
 
     Raises:
-        OrganError: If the edges are too long for the horns or too short to be of use.
+        OrganError: If the edges are too long for the horns or too short to be useful.
     """
     if not FINEST_MM <= edge_mm <= COARSEST_MM:
         msg = (
@@ -142,7 +141,7 @@ def uterus(edge_mm: float = 1.0) -> Organ:
 def _tessellated(
     edge_mm: float,
 ) -> tuple[Float[np.ndarray, "m 3"], Int[np.ndarray, "f 3"]]:
-    """Vertices, first of them the sites, and faces; read or made once in a process."""
+    """Return vertices, the sites first, and faces; cached per process."""
     if edge_mm != KEPT_EDGE_MM:
         return make(edge_mm)
     with np.load(_KEPT) as kept:
@@ -150,7 +149,7 @@ def _tessellated(
 
 
 def keep() -> None:
-    """Write the mesh that is kept, after a change to what is above.
+    """Write the stored mesh, after a change of the definitions above.
 
     ``python -c "from jaxgrow.organ.uterus import keep; keep()"``
     """
@@ -161,7 +160,7 @@ def keep() -> None:
 def make(
     edge_mm: float,
 ) -> tuple[Float[np.ndarray, "m 3"], Int[np.ndarray, "f 3"]]:
-    """Tessellate the cavity: vertices, first of them the sites, and faces."""
+    """Tessellate the cavity: vertices, the sites first, and faces."""
     low = np.array([-18.0, -10.0, -28.0])
     high = np.array([18.0, 10.0, 35.0])
     pinned = project(cavity, np.array(list(_SITES.values())), step=1e-4, iterations=8)

@@ -1,4 +1,4 @@
-"""What a surface must be to serve as an organ, and the sentence said if it is not.
+"""Validation of an organ mesh: raise `OrganError` naming the first defect.
 
 Checks run from the coarse to the fine, so that the first complaint is the cause and
 not a consequence: numbers, indices, duplicate vertices, degenerate triangles, edges,
@@ -22,24 +22,25 @@ LARGEST_MM = 2000.0
 
 
 class OrganError(ValueError):
-    """An organ, site or patch that cannot be used; the message is what the user reads.
+    """Error of an organ, site or patch that cannot be used.
 
-    It is one sentence: what came, what is wanted, what to do.
+    The message is what the user reads, in one sentence: what came, what is wanted, what
+    to do.
     """
 
 
 def check_surface(
     vertices: Float[np.ndarray, "m 3"], faces: Int[np.ndarray, "f 3"], name: str
 ) -> None:
-    """Accept a finite, closed, connected, outward oriented manifold and nothing else.
+    """Raise unless a mesh is a closed, connected, outward oriented manifold.
 
     Args:
-        vertices: In mm.
-        faces: Vertex indices, three a triangle.
-        name: What to call the surface in a message.
+        vertices: In mm, finite.
+        faces: Vertex indices, three per triangle.
+        name: Of the surface, for messages.
 
     Raises:
-        OrganError: With one sentence for the first thing that is wrong.
+        OrganError: With one sentence for the first defect.
     """
     _check_numbers(vertices, faces, name)
     # differences first: a surface far from the origin keeps its digits
@@ -56,14 +57,14 @@ def check_surface(
 def signed_volume(
     vertices: Float[np.ndarray, "m 3"], faces: Int[np.ndarray, "f 3"]
 ) -> float:
-    """Volume Σ a·(b × c)/6 of a closed surface, positive if its normals point out."""
+    """Return Σ a·(b × c)/6 of a closed surface, positive for outward normals."""
     local = vertices - vertices.mean(axis=0)
     a, b, c = (local[faces[:, k]] for k in range(3))
     return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
 
 
 def is_closed_manifold(faces: Int[np.ndarray, "f 3"]) -> bool:
-    """Whether each directed edge occurs once and its opposite once too."""
+    """Return whether each directed edge and its opposite occur exactly once."""
     start, end = _half_edges(faces)
     count = int(faces.max()) + 1 if len(faces) else 0
     forward = np.sort(start * count + end)
@@ -76,7 +77,7 @@ def is_closed_manifold(faces: Int[np.ndarray, "f 3"]) -> bool:
 def merge_duplicates(
     vertices: Float[np.ndarray, "m 3"], faces: Int[np.ndarray, "f 3"]
 ) -> tuple[Float[np.ndarray, "k 3"], Int[np.ndarray, "f 3"]]:
-    """Exactly coincident vertices made one, in the order of first occurrence."""
+    """Merge exactly coincident vertices, in the order of first occurrence."""
     # adding 0 makes -0.0 and 0.0 the same number
     _, first, inverse = np.unique(
         vertices + 0.0, axis=0, return_index=True, return_inverse=True
@@ -87,12 +88,12 @@ def merge_duplicates(
 
 
 def place(point: Float[np.ndarray, "3"]) -> str:
-    """A point in mm as text."""
+    """Format a point in mm as text."""
     return f"({point[0]:.6g}, {point[1]:.6g}, {point[2]:.6g}) mm"
 
 
 def count(number: int, noun: str, plural: str = "") -> str:
-    """``1 hole``, ``2 holes``."""
+    """Format a number with its noun: ``1 hole``, ``2 holes``."""
     return f"{number} {noun if number == 1 else plural or noun + 's'}"
 
 
@@ -220,7 +221,7 @@ def _check_edges(vertices: np.ndarray, faces: np.ndarray, name: str) -> None:
 
 
 def _holes(edges: Int[np.ndarray, "e 2"]) -> list[Int[np.ndarray, "_"]]:
-    """Vertices of each connected piece of the rim, the largest first."""
+    """Find the vertices of each connected piece of the rim, the largest first."""
     if len(edges) == 0:
         return []
     used, flat = np.unique(edges, return_inverse=True)

@@ -1,4 +1,4 @@
-"""The rest of an organ, which a growing surface may meet."""
+"""Walls: the rest of an organ, which a growing surface may meet."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jaxgrow.organ.patch import Patch
 
 
 def walls_around(organ: Organ, patch: Patch, within: float) -> Walls:
-    """The triangles of the organ that are not of the patch, up to a distance.
+    """Return the organ's triangles outside the patch, up to a distance.
 
     Args:
         organ: The organ.
