@@ -1,4 +1,4 @@
-r"""Mean curvature of a triangle mesh, as integrals over the surroundings of vertices.
+r"""Mean curvature of a triangle mesh, integrated around vertices.
 
 The first variation of the area A when a vertex moves is its integral of the vector of
 mean curvature, so along the unit normal :math:`n_v` (of the vertex' area vector)
@@ -30,7 +30,9 @@ def mean_curvature(
     faces: Int[Array, "f 3"],
     alive: Bool[Array, " f"],
 ) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
-    """Integral of the mean curvature around each vertex, and the area of that part.
+    """Compute the integral of the mean curvature around each vertex.
+
+    The area of that part is returned too.
 
     Vertices of an open rim have the curvature of a cut, not of the surface.
 
@@ -74,7 +76,7 @@ def mean_curvature(
 def mean_and_spread(
     integral: Float[Array, " m"], area: Float[Array, " m"], weight: Float[Array, " m"]
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    r"""Weighted mean and standard deviation of the mean curvature over the area.
+    r"""Compute the weighted mean and deviation of the mean curvature.
 
     .. math:: \bar H = \frac{\sum_v w_v M_v}{\sum_v w_v A_v}, \qquad
               s^2 = \frac{\sum_v w_v A_v (M_v / A_v - \bar H)^2}{\sum_v w_v A_v}

@@ -1,4 +1,4 @@
-"""How high something is above the former surface, and what counts as raised."""
+"""Signed height above the former surface, and the raised part."""
 
 import jax
 import jax.numpy as jnp
@@ -11,17 +11,17 @@ from jaxgrow.state import FormerSurface
 
 
 RAISED = 0.5
-"""Surface higher than this (r0) above the former one is the lesion's."""
+"""Height (r0) above the former surface from which on the surface is raised."""
 
 FLAT = 0.25
-"""Surface lower than this (r0) is not; in between it counts in part."""
+"""Height (r0) up to which it is not raised; in between it counts in part."""
 
 _ON = 1e-6
-"""Nearer than this (r0) the direction to the surface is rounding; its normal is not."""
+"""Distance (r0) below which the surface's normal replaces the direction to it."""
 
 
 def smoothstep(share: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """s²(3 - 2s) of a share that is cut off at 0 and 1, dimensionless.
+    """Return s²(3 - 2s) of a share clipped to 0 and 1, dimensionless.
 
     It is the part of a ball's volume below a plane that cuts off the share s of its
     diameter, and it is continuously differentiable.
@@ -31,14 +31,16 @@ def smoothstep(share: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
 
 
 def raisedness(above: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """How much of the lesion surface is at a height: 0 up to FLAT, 1 from RAISED on."""
+    """Return the share by which a height is raised: 0 to FLAT, 1 from RAISED."""
     return smoothstep((above - FLAT) / (RAISED - FLAT))
 
 
 def height_above(
     points: Float[Array, "n 3"], former: FormerSurface
 ) -> Float[Array, " n"]:
-    """Exact distance to the former surface, positive on the lumen's side, in r0.
+    """Compute the signed distance to the former surface, in r0.
+
+    It is positive on the lumen's side.
 
     The derivative is the one at a fixed nearest triangle. It jumps where two triangles
     are equally near, but not over one smooth surface; and beside the patch, where the
@@ -67,7 +69,7 @@ def height_above(
 def _square_distances(
     point: Float[Array, "3"], corners: Float[Array, "g 3 3"]
 ) -> Float[Array, " g"]:
-    """Of one point to all triangles; coordinates first, which compiles to fast code."""
+    """Compute squared distances of one point to all triangles."""
     a, b, c = jnp.moveaxis(corners, (1, 2), (0, 1))
     ab, bc, ca = b - a, c - b, a - c
     normal = jnp.cross(ab, bc, axis=0)

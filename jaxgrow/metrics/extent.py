@@ -11,7 +11,7 @@ from jaxgrow.state import Membrane
 
 
 DIRECTIONS = 32
-"""Directions across the axis, every 180°/32; they miss 0.12 % of a width at most."""
+"""Directions across the axis, every 180°/32; the error of a width is at most 0.12 %."""
 
 
 def height_of(
@@ -20,7 +20,9 @@ def height_of(
     axis: Float[Array, "3"],
     smoothing: Scalar | None,
 ) -> Float[Array, ""]:
-    """Height in r0 of the highest vertex over the site, each times its raisedness.
+    """Compute the height in r0 of the highest vertex over the site.
+
+    Each vertex's height is multiplied by its raisedness.
 
     Args:
         membrane: its vertices are relative to the site.
@@ -40,11 +42,11 @@ def width_of(
     axis: Float[Array, "3"],
     smoothing: Scalar | None,
 ) -> Float[Array, ""]:
-    """Largest extent in r0 of the raised surface over directions across the axis.
+    """Compute the largest extent of the raised surface across the axis, in r0.
 
-    Its corners are the raised vertices, and where edges cross the level of what is
-    raised. A vertex that is raised in part counts in part: it is drawn towards the
-    middle of the raised vertices. So nothing jumps when a vertex rises.
+    Its corners are the raised vertices, and the points where edges cross the level
+    `RAISED`. A vertex that is raised in part counts in part: it is moved towards the
+    middle of the raised vertices. So the width is continuous when a vertex rises.
 
     Args:
         membrane: its vertices are relative to the site.
@@ -78,7 +80,7 @@ def width_of(
 
 
 def _directions(axis: Float[Array, "3"]) -> Float[Array, "d 3"]:
-    """Unit vectors across the axis."""
+    """Return unit vectors across the axis."""
     away = jnp.eye(3, dtype=axis.dtype)[jnp.argmin(jnp.abs(axis))]
     first = jnp.cross(axis, away)
     first = first / safe_norm(first)

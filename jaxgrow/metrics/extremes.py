@@ -1,13 +1,13 @@
-r"""Largest and smallest of several values, exact or smooth with a known error.
+r"""Maximum and minimum of several values, exact or smooth with known error.
 
 With the temperature :math:`\tau` the smooth maximum of n values is
 
 .. math:: \tau \log \sum_{i=1}^n e^{x_i / \tau},
 
-from 0 to :math:`\tau \log n` above the exact one. Candidates within about
-:math:`\tau` of the maximum share its derivative, so that it has no kink where the
-first place changes. The smooth minimum is likewise from 0 to :math:`\tau \log n` above
-the exact one, so that it is positive where the values are.
+from 0 to :math:`\tau \log n` above the exact one. Candidates within about :math:`\tau`
+of the maximum share its derivative, so that it has no kink where the maximum changes
+places. The smooth minimum is also from 0 to :math:`\tau \log n` above the exact one, so
+that it is positive where the values are.
 """
 
 import jax
@@ -18,7 +18,10 @@ from jaxgrow.runtime.types import Scalar
 
 
 def temperature(bound: Scalar | None, count: Scalar) -> Float[Array, ""] | None:
-    """The temperature with which n values have this error at most; None is exact."""
+    """Return the temperature at which n values have at most this error.
+
+    None is exact.
+    """
     return None if bound is None else bound / jnp.log(jnp.maximum(count, 2))
 
 
@@ -27,7 +30,7 @@ def largest(
     real: Bool[Array, "*#shape n"],
     warmth: Float[Array, ""] | None,
 ) -> Float[Array, "*shape"]:
-    """Maximum over the last axis.
+    """Return the maximum over the last axis, exact or smooth.
 
     Args:
         values: in any unit.
@@ -43,6 +46,6 @@ def largest(
 def smallest(
     values: Float[Array, " n"], warmth: Float[Array, ""] | None
 ) -> Float[Array, ""]:
-    """Minimum of values that all count; arguments as of `largest`."""
+    """Return the minimum, exact or smooth; arguments as in `largest`."""
     least = -largest(-values, jnp.ones_like(values, bool), warmth)
     return least if warmth is None else least + warmth * jnp.log(values.shape[0])

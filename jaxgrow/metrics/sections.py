@@ -1,13 +1,13 @@
-r"""Cross-sections of a lesion across its axis, and the neck among them.
+r"""Cross-sections of a lesion across its axis, with the neck.
 
 The area of the section at a height h is the flux of the axis through the raised
 surface above h, :math:`A(h) = \sum_t \int_{t,\, z > h} n \cdot a \, dA`. It is exact
 for triangles, needs no contour, and is continuously differentiable.
 
-In a hollow organ the surroundings of a lesion rise with the distance from its site.
-For sections they are therefore as high as above the former surface, at most, and only
-what is raised is as high as over the site (`section_heights`). Over a flat surface that
-is the same.
+In a hollow organ the surroundings of a lesion rise with the distance from its site. For
+sections their height is therefore at most that above the former surface, and only
+raised parts have their height over the site (`section_heights`). Over a flat surface
+both are the same.
 """
 
 import jax
@@ -20,27 +20,28 @@ from jaxgrow.runtime.types import Scalar
 
 
 LEVELS = 48
-"""Heights at which sections are taken, evenly from half an r0 to the tip.
-
-Between two of them a narrowest section is missed by an error of second order: of a neck
-with a hollow of radius a, by the square of half their distance over a.
-"""
+"""Number of sections, evenly spaced from half an r0 to the tip. The error of a
+narrowest section between two of them is of second order: for a neck with a hollow of
+radius a, the square of half their distance over a."""
 
 
 def section_heights(
     z: Float[Array, " m"], above: Float[Array, " m"]
 ) -> Float[Array, " m"]:
-    """Height of each vertex for sections, in r0.
+    """Return the height of each vertex for sections, in r0.
 
     Args:
-        z: over the site, along the axis.
-        above: above the former surface.
+        z: height over the site, along the axis.
+        above: height above the former surface.
     """
     return z - (1 - raisedness(above)) * jnp.maximum(z - above, 0)
 
 
 def share_above(z: Float[Array, "f 3"], level: Float[Array, ""]) -> Float[Array, " f"]:
-    """Part of each triangle's area above a level, given its corners' heights."""
+    """Compute the share of each triangle's area above a level.
+
+    The triangle is given by its corners' heights.
+    """
     low, middle, high = jnp.sort(z, axis=1).T
     below = (level - low) ** 2 / _positive((middle - low) * (high - low))
     top = (high - level) ** 2 / _positive((high - middle) * (high - low))
@@ -49,7 +50,10 @@ def share_above(z: Float[Array, "f 3"], level: Float[Array, ""]) -> Float[Array,
 
 
 def mean_above(z: Float[Array, "f 3"], level: Float[Array, ""]) -> Float[Array, " f"]:
-    """Mean of max(0, z - level) over each triangle: the integral of `share_above`."""
+    """Compute the mean of max(0, z - level) over each triangle.
+
+    It is the integral of `share_above`.
+    """
     low, middle, high = jnp.sort(z, axis=1).T
     whole = (low + middle + high) / 3 - level
     below = (level - low) ** 3 / _positive(3 * (middle - low) * (high - low))
@@ -61,18 +65,18 @@ def mean_above(z: Float[Array, "f 3"], level: Float[Array, ""]) -> Float[Array, 
 def section_areas(
     z: Float[Array, "f 3"], flux: Float[Array, " f"], levels: Float[Array, " h"]
 ) -> Float[Array, " h"]:
-    """Area of the section at each level.
+    """Compute the area of the section at each level.
 
     Args:
         z: height of the corners of each triangle.
-        flux: of the axis through each triangle: its area seen along the axis.
+        flux: of the axis through each triangle: its area projected along the axis.
         levels: heights.
     """
     return jax.vmap(lambda level: jnp.sum(share_above(z, level) * flux))(levels)
 
 
 def diameters(area: Float[Array, " h"]) -> Float[Array, " h"]:
-    """Of circles with these areas; 0 for none."""
+    """Return the diameters of circles with these areas; 0 for none."""
     some = area > 0
     return jnp.where(some, 2 * jnp.sqrt(jnp.where(some, area, 1) / jnp.pi), 0)
 
@@ -80,14 +84,16 @@ def diameters(area: Float[Array, " h"]) -> Float[Array, " h"]:
 def necks(
     diameter: Float[Array, " h"], smoothing: Scalar | None
 ) -> tuple[Float[Array, " h"], Float[Array, ""]]:
-    r"""The diameter by which each section counts as the neck, and the least of them.
+    r"""Compute the diameter by which each section counts as the neck.
+
+    The least of them is returned too.
 
     .. math:: c_i = d_i + 2 \, (\max_j d_j - \max_{j \ge i} d_j)
 
-    Up to the widest section that is its diameter :math:`d_i`; above it what is lacking
-    to the widest counts twice, so that the neck is the narrowest section below the
-    widest one, and yet nothing jumps when another section becomes the widest. Without
-    a section narrower than one above it the neck is the base.
+    Up to the widest section that is its diameter :math:`d_i`; above it the difference
+    to the widest is added twice, so that the neck is the narrowest section below the
+    widest one, and is continuous when another section becomes the widest. Without a
+    section narrower than one above it the neck is the base.
 
     Args:
         diameter: of the sections, from the base upwards.
@@ -103,5 +109,5 @@ def necks(
 
 
 def _positive(value: Float[Array, " f"]) -> Float[Array, " f"]:
-    """Level triangles have no extent to divide by; their share is 0 or 1 anyway."""
+    """Bound denominators of level triangles, whose share is 0 or 1 anyway."""
     return jnp.maximum(value, 1e-12)

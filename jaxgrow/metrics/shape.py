@@ -1,9 +1,9 @@
-r"""The metrics of a lesion's shape, taken from the state alone.
+r"""Shape metrics of a lesion, computed from the state alone.
 
 *Height* is measured along the axis, the normal of the former surface at the site. The
-*raised* surface is what lies more than half an r0 above the former surface; what lies
-between a quarter and half an r0 above it counts in part, so that all metrics are
-continuous in the positions.
+*raised* surface lies more than half an r0 above the former surface; the part between a
+quarter and half an r0 above it counts in part, so that all metrics are continuous in
+the positions.
 
 The volume is the one enclosed between the grown and the former surface of the patch:
 they share their rim, so the difference of their cone volumes
@@ -45,7 +45,9 @@ _LOCATING = 0.25  # smoothing in r0 of where tip and neck are, in all versions
 
 
 class ShapeMetrics(eqx.Module):
-    r"""Shape of a lesion. What needs a surface is NaN for a free cluster.
+    r"""Shape metrics of a lesion, in units of their names.
+
+    Metrics that need a surface are NaN for a free cluster.
 
     Curvatures are mean curvatures, half the sum of the two principal ones, positive
     for a ball seen from the lumen, and means over the area near a place:
@@ -114,11 +116,11 @@ class ShapeMetrics(eqx.Module):
 
 
 def shape_metrics(state: State, *, smoothing: float = 0.0) -> ShapeMetrics:
-    r"""Metrics of a grown lesion, differentiable in the positions.
+    r"""Compute the metrics of a grown lesion, differentiable in the positions.
 
     Height, width and neck width are maxima and minima over vertices, directions and
     cross-sections. Exact, they are continuous and have a kink where two candidates tie.
-    Smooth, the candidates near the first place share its derivative
+    Smooth, the candidates near the extreme share its derivative
     (`jaxgrow.metrics.extremes`), at an error that is bounded: with the smoothing
     :math:`\epsilon`, in r0,
 
@@ -128,17 +130,17 @@ def shape_metrics(state: State, *, smoothing: float = 0.0) -> ShapeMetrics:
         -\tfrac23 \epsilon \le \tilde n - n \le \epsilon.
 
     The ratios are those of the smooth lengths. The other metrics are integrals and do
-    not depend on the smoothing; ratios, sphericity and curvatures, which have no value
+    not depend on the smoothing; ratios, sphericity and curvatures, which are undefined
     as long as nothing is raised, are 0 there and begin with a jump. Kinks remain where
     a point has two nearest points on the former surface.
 
-    On meshes as fine as membranes are (sides of 0.8 r0) all metrics of sphere caps,
+    On meshes as fine as membranes (sides of 0.8 r0) all metrics of sphere caps,
     cylinders and tori are within 3 % of their closed forms, but the curvature of the
     neck, which is a mean over its surroundings, within 12 % on a cylinder and within
     0.025 per r0 on a torus.
 
     Args:
-        state: at the end of a growth, or at any time in it.
+        state: at the end of a growth, or at any time during it.
         smoothing: the largest error :math:`\epsilon` in r0 by which smooth maxima and
             minima may differ from the exact ones; 0 for the exact ones. For a loss,
             0.1 is a tenth of a particle.
@@ -215,7 +217,7 @@ def _near_tip_and_neck(
     levels: Float[Array, " h"],
     diameter: Float[Array, " h"],
 ) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
-    """Weight of each vertex as a part of the tip, and as a part of the neck."""
+    """Compute the weight of each vertex as a part of tip and of neck."""
     z = membrane.vertices @ axis
     raised = jnp.where(membrane.vertex_alive, raisedness(above), 0)
     counted, _ = necks(diameter, _LOCATING)
@@ -225,7 +227,7 @@ def _near_tip_and_neck(
 
 
 def _bump(u: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-    """1 at 0, continuously differentiable, and 0 from 1 on."""
+    """Return (1 - u²)², cut off at 1: continuously differentiable."""
     return jnp.maximum(1 - u**2, 0) ** 2
 
 
@@ -255,7 +257,7 @@ def _is_tumour(particles: Particles) -> Bool[Array, " n"]:
 
 
 def _fraction_above(particles: Particles, former: FormerSurface) -> Float[Array, ""]:
-    """Share of the tumour's balls above the former surface."""
+    """Return the share of the tumour's balls above the former surface."""
     tumour = _is_tumour(particles)
     share = smoothstep(height_above(particles.position, former) + 0.5)
     number = jnp.maximum(jnp.sum(tumour.astype(share.dtype)), 1)
@@ -263,7 +265,10 @@ def _fraction_above(particles: Particles, former: FormerSurface) -> Float[Array,
 
 
 def _gyration_diameter(particles: Particles) -> Float[Array, ""]:
-    """2 √(5/3) R_g + 1: a ball of the same radius of gyration, and one particle."""
+    """Return the diameter of the ball with the tumour's radius of gyration.
+
+    It is 2 √(5/3) R_g + 1, with one particle added.
+    """
     tumour = _is_tumour(particles)[:, None]
     position = particles.position
     number = jnp.maximum(jnp.sum(tumour.astype(position.dtype)), 1)
