@@ -1,1 +1,1 @@
-"""Several growths at once, in processes."""
+"""Ensembles: several growths at once, in worker processes."""

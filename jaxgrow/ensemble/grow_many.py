@@ -1,4 +1,4 @@
-"""Several growths side by side, each in a process of its own."""
+"""Ensemble of growths, each in a worker process."""
 
 import itertools
 import operator
@@ -32,47 +32,45 @@ def grow_many(
 ) -> tuple[Growth, ...]:
     """Grow a lesion for each seed, several at the same time.
 
-    A growth is a chain of small programs that one core is enough for, so members run
-    in several processes, this one among them; in one batched program every member
-    would rebuild its lists whenever one has to. A member is bit for bit what `grow`
-    makes of its seed in a process with one thread. Other processes take some seconds
-    to start, a gigabyte each, and share compiled programs through the cache on disk:
-    the one that JAX is configured with, or else that of the command. Each takes a
-    member as soon as it is free. They wait five minutes for the next call, which then
-    starts none.
+    A growth is a chain of small programs that uses one core, so members run in several
+    processes, this one among them; in one batched program every member would rebuild
+    its lists whenever one has to. A member is bit for bit what `grow` returns for its
+    seed in a process with one thread. Worker processes take some seconds to start and a
+    gigabyte each, and share compiled programs through the cache on disk: the one that
+    JAX is configured with, or else that of the command. Each takes a member as soon as
+    it is idle. They wait five minutes for the next call, which then reuses them.
 
-    Processes import the script that started them anew, as always with Python's
-    `multiprocessing`. So it must be a file, with what is not to be repeated under a
-    guard; notebooks need none::
+    Workers import the script that started them, as always with Python's
+    `multiprocessing`. So it must be a file, with the code that must not be repeated
+    under a guard; notebooks need none::
 
         if __name__ == "__main__":
             lesions = jg.grow_many(scene, seeds=range(8))
 
     On an accelerator, which they would have to share, members are grown one after the
-    other in this process. What a member or `finished` raises ends all members at once.
+    other in this process. An exception of a member or of `finished` ends all members.
 
     Args:
-        scene: what to grow, and where.
+        scene: the lesion and its surroundings.
         seeds: one for each member.
         parameters: of all members, or one for each; the scene's if None.
-        processes: how many at the same time, this one included; one for each core if
-            None.
-        finished: called with every member as it is finished, in any order; here, so
-            that of another process after the next division of this one's.
+        processes: number of processes, this one included; one for each core if None.
+        finished: called in this process with every finished member, in any order; for
+            a worker's, after the next division of this process's member.
         **options: of `grow`: tolerance, max_divisions, max_seconds.
 
     Returns:
         The growths, in the order of the seeds.
 
     Raises:
-        TypeError: a seed or the number of processes is not a whole number, or an option
-            is none of these.
+        TypeError: a seed or the number of processes is not an integer, or an option is
+            unknown.
         ValueError: there is not one set of parameters for each seed, the number of
-            processes is not positive, a derivative is asked for (take it of `grow`), or
+            processes is not positive, a derivative is taken (take it of `grow`), or
             `grow` raises it.
         OrganError: the organ or the site cannot be used.
-        RuntimeError: a process was ended from outside, mostly for want of memory, or
-            none could start because the script has no guard, or is no file.
+        RuntimeError: a process was killed, mostly for lack of memory, or none could
+            start because the script has no guard, or is not a file.
     """
     seeds = [_whole(seed, "a seed") for seed in seeds]
     if is_differentiated(scene.parameters):
@@ -106,7 +104,7 @@ def grow_many(
             ]
             for thread in threads:
                 thread.start()
-            # while it grows its own, this process learns of the others' after every
+            # this process grows members too, and checks on the workers after every
             # division
             shared.take(scene, {**options, "progress": lambda _: shared.look()})
             for thread in threads:
@@ -125,7 +123,7 @@ def grow_many(
 
 
 class _Shared:
-    """Members that several processes take one after the other, as each is free.
+    """Queue of members that several processes take from as each is idle.
 
     Args:
         members: seeds and parameters.
@@ -150,12 +148,12 @@ class _Shared:
         scene: Scene,
         options: dict[str, Any],
     ) -> None:
-        """In a thread: let another process grow this one and others, one at a time."""
+        """Let a worker grow this member and others, one by one, in a thread."""
         try:
             for number, member in itertools.chain([first], self._rest()):
                 future = pool.submit(_grow, scene, *member, options)
                 self.grown[number] = future.result()
-        # whatever it is, the main thread raises it
+        # any exception is raised by the main thread
         except BaseException as error:
             self._error = self._error or error
 
@@ -166,7 +164,7 @@ class _Shared:
             self.look()
 
     def look(self) -> None:
-        """Tell of members that were finished; raise what one of them raised."""
+        """Report finished members; raise the exception of a worker."""
         if self._error is not None:
             raise self._error
         for number in sorted(self.grown.keys() - self._told):
@@ -174,7 +172,7 @@ class _Shared:
             _told(self.grown[number], self._finished)
 
     def _rest(self) -> Iterator[tuple[int, tuple[int, Parameters | None]]]:
-        """Those that nobody has taken yet."""
+        """Yield the members that no process has taken yet."""
         while True:
             try:
                 yield self.waiting.popleft()
@@ -188,7 +186,7 @@ _NO_DERIVATIVE = (
 
 
 def _whole(number: Any, what: str) -> int:
-    """A whole number, of Python or NumPy."""
+    """Convert a Python or NumPy integer; raise for other numbers."""
     try:
         return operator.index(number)
     except TypeError as error:
@@ -198,7 +196,10 @@ def _whole(number: Any, what: str) -> int:
 def _one_for_each(
     seeds: list[int], parameters: Parameters | Sequence[Parameters] | None
 ) -> list[Parameters | None]:
-    """The parameters of every member, as numbers: other processes know no tracers."""
+    """Return the parameters of every member as numbers.
+
+    Tracers cannot be sent to other processes.
+    """
     if parameters is None:
         return [None] * len(seeds)
     given = parameters
@@ -227,7 +228,7 @@ def _told(growth: Growth, finished: Callable[[Growth], None] | None) -> Growth:
 
 
 def _cores() -> int:
-    """Cores that this process may use."""
+    """Count the cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

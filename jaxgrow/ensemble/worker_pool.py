@@ -1,6 +1,6 @@
-"""Processes that compute beside this one, kept for a while for whoever asks next.
+"""Pool of worker processes, kept for some minutes for the next call.
 
-One needs seconds to start: it imports JAX and loads compiled programs.
+A worker takes seconds to start: it imports JAX and loads compiled programs.
 """
 
 import os
@@ -22,7 +22,7 @@ from jaxgrow.runtime.compile_cache import keep_programs
 
 
 KEPT_SECONDS = 300.0
-"""How long processes wait for work before they end."""
+"""Seconds that idle workers are kept."""
 
 _SETTINGS = (
     "jax_enable_x64",
@@ -32,16 +32,16 @@ _SETTINGS = (
     "jax_persistent_cache_min_compile_time_secs",
     "jax_persistent_cache_min_entry_size_bytes",
 )
-"""What a process is told of how JAX is configured here."""
+"""Settings of JAX that are passed to a worker."""
 
 
 @dataclass(frozen=True, eq=False)
 class Processes:
-    """Processes with one thread each.
+    """Worker processes with one thread each.
 
     Attributes:
-        pool: takes their work.
-        count: how many they are at most; they start as work comes.
+        pool: executor of their tasks.
+        count: largest number of workers; they start on demand.
         surroundings: settings of JAX and environment that they were started with.
         started: set as soon as one of them works.
     """
@@ -52,13 +52,13 @@ class Processes:
     started: Event
 
     def are_well(self) -> bool:
-        """Whether none was ended from outside."""
+        """Return whether no worker has exited."""
         return not self.pool._broken and all(
             process.is_alive() for process in (self.pool._processes or {}).values()
         )
 
     def end(self) -> None:
-        """End them without waiting for their work.
+        """Terminate the workers without waiting for their tasks.
 
         To be ``pool.terminate_workers()`` once Python 3.14 is the oldest that is
         supported.
@@ -71,7 +71,7 @@ class Processes:
             process.join()
 
     def why_broken(self) -> str:
-        """The sentence for one that is gone."""
+        """Return the message for a worker that exited."""
         if self.started.is_set():
             return (
                 "a process of grow_many ended without an answer, mostly for want of "
@@ -94,7 +94,7 @@ _kept: tuple[Processes, Timer] | None = None
 
 
 def borrow(count: int) -> Processes:
-    """So many processes, those that are kept if they are as new ones would be."""
+    """Return a pool of workers, reusing the kept one if it is equivalent."""
     surroundings = _settings(), dict(os.environ)
     found = _take()
     if found is not None:
@@ -109,7 +109,7 @@ def borrow(count: int) -> Processes:
 
 
 def give_back(processes: Processes) -> None:
-    """Keep processes that have no work for a while."""
+    """Keep idle workers for a while."""
     global _kept
     end_kept()
     timer = Timer(KEPT_SECONDS, end_kept, (processes,))
@@ -120,7 +120,7 @@ def give_back(processes: Processes) -> None:
 
 
 def end_kept(only: Processes | None = None) -> None:
-    """End the processes that are kept without waiting for it; perhaps only these."""
+    """Shut the kept workers down without waiting; optionally only these."""
     found = _take(only)
     if found is not None:
         found.pool.shutdown(wait=False)
@@ -141,9 +141,9 @@ _LOG_LEVEL = "TF_CPP_MIN_LOG_LEVEL"
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Processes that start in the block leave out what XLA says of its cache.
+    """Silence XLA's messages on its cache in workers started in the block.
 
-    Where nobody has chosen a level, importing JAX has set it to 1, which shows that.
+    Unless the user chose a level, importing JAX has set it to 1, which shows these.
     """
     own = os.environ.get(_LOG_LEVEL)
     if own in (None, "1"):
@@ -158,16 +158,16 @@ def quiet() -> Iterator[None]:
 
 
 def _settings() -> dict[str, Any]:
-    """How JAX is configured here, with a folder of compiled programs."""
+    """Return JAX's configuration here, with a cache folder set."""
     keep_programs()
     return {name: getattr(jax.config, name) for name in _SETTINGS}
 
 
 def _prepare(settings: dict[str, Any], started: Event) -> None:
-    """Set a process up, before it computes anything."""
+    """Configure a worker before it computes anything."""
     started.set()
     Thread(target=_end_with_parent, daemon=True).start()
-    # from the keyboard it reaches all processes, and may mean anything while they wait
+    # ignore Ctrl-C, which reaches all processes, also while they are idle
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ["NPROC"] = "1"  # threads of XLA
     for name, value in settings.items():
@@ -175,7 +175,7 @@ def _prepare(settings: dict[str, Any], started: Event) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process when the one that started it is gone, however it ended."""
+    """Exit when the parent process has exited for any reason."""
     parent = parent_process()
     if parent is not None:
         parent.join()

@@ -1,1 +1,1 @@
-"""What a run reads and writes: meshes, run folders, reports, audits."""
+"""Files of a run: meshes, run folders, reports, audits."""

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Audit:
-    """What the audit of a growth found.
+    """Findings of an audit of a growth.
 
     Attributes:
         surface: of the whole organ's mesh; None for a free cluster.
-        particles: how many were checked.
-        non_finite_particles: with a coordinate that is no finite number.
-        particles_outside: on the wrong side of the surface, or on it.
+        particles: number of particles checked.
+        non_finite_particles: number with a coordinate that is not finite.
+        particles_outside: number on the wrong side of the surface, or on it.
         euler_number_before: of the organ, if it is known.
     """
 
@@ -34,7 +34,7 @@ class Audit:
 
     @property
     def clean(self) -> bool:
-        """Whether nothing is wrong."""
+        """Whether there is no defect."""
         return not self.defects
 
     @property
@@ -54,7 +54,7 @@ class Audit:
         return {name: count for name, count in found.items() if count}
 
     def as_dict(self) -> dict[str, Any]:
-        """All figures, for a report."""
+        """Return all figures, for a report."""
         figures = asdict(self)
         figures["surface"] = None if self.surface is None else self.surface.as_dict()
         return {"clean": self.clean, "defects": self.defects, **figures}

@@ -1,9 +1,9 @@
 """Mesh and particle files: PLY, OBJ, STL, GLB.
 
-A grown organ leaves the program as a file that a simulator loads, so two things are
-promised here. Coordinates are kept to the last bit where the format can hold a double
-(PLY, OBJ): outside the patch the organ must come out exactly as it went in. And a file
-is either whole or absent: everything is written to a temporary file in the same folder,
+A grown organ is a file that a simulator loads, so two properties are guaranteed.
+Coordinates are kept to the last bit where the format can hold a double (PLY, OBJ):
+outside the patch the organ is written exactly as it was read. And a file is either
+complete or absent: everything is written to a temporary file in the same folder,
 flushed to the disk, and renamed.
 
 STL and GLB hold 32-bit floats by definition; STL has no place for labels. All
@@ -52,14 +52,14 @@ def write_mesh(
     ========  ==========================  =========================================
 
     Args:
-        path: Where to write; an existing file is replaced in one step.
+        path: The file to write; an existing one is replaced atomically.
         vertices: Coordinates, mm.
-        faces: Vertex indices, one oriented triangle a row.
+        faces: Vertex indices, one oriented triangle per row.
         label: 0 healthy, 1 lesion, for every vertex.
 
     Raises:
-        ValueError: The suffix is unknown, or the arrays are no mesh (a coordinate that
-            is not finite, an index out of range, a label other than 0 and 1).
+        ValueError: The suffix is unknown, or the arrays are not a mesh (a coordinate
+            that is not finite, an index out of range, a label other than 0 and 1).
     """
     path = Path(path)
     writers = {".ply": _ply_mesh, ".obj": _obj, ".stl": _stl, ".glb": _glb}
@@ -79,7 +79,7 @@ def read_organ_ply(
 ) -> tuple[
     Float[np.ndarray, "m 3"], Integer[np.ndarray, "f 3"], UInt8[np.ndarray, " m"]
 ]:
-    """Read a labelled organ surface back, exactly as `write_mesh` was given it.
+    """Read a labelled organ surface exactly as `write_mesh` wrote it.
 
     Args:
         path: A binary little-endian PLY file with a vertex property ``label``.
@@ -88,7 +88,7 @@ def read_organ_ply(
         Vertices in mm, faces, and the label of every vertex (0 healthy, 1 lesion).
 
     Raises:
-        ValueError: The file is no such PLY file, or is cut short.
+        ValueError: The file is not such a PLY file, or is truncated.
     """
     path = Path(path)
     elements = _read_ply(path)
@@ -117,7 +117,7 @@ def write_particles(
     ``radius`` (32-bit, mm).
 
     Args:
-        path: Where to write, suffix ``.ply``.
+        path: The file to write, suffix ``.ply``.
         position_mm: Positions, mm.
         species: 0 tissue, 1 tumour, further species up to 255.
         radius_mm: One radius for all particles, or one for each, mm.
@@ -152,7 +152,7 @@ def write_particles(
 def read_particles(
     path: str | os.PathLike[str],
 ) -> tuple[Float[np.ndarray, "n 3"], UInt8[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Read what `write_particles` wrote.
+    """Read the particles that `write_particles` wrote.
 
     Args:
         path: A binary little-endian PLY file.
@@ -161,7 +161,7 @@ def read_particles(
         Positions in mm, species, and radii in mm (32-bit).
 
     Raises:
-        ValueError: The file is no such PLY file, or is cut short.
+        ValueError: The file is not such a PLY file, or is truncated.
     """
     path = Path(path)
     points = _with_properties(
@@ -224,7 +224,7 @@ def _ply_header(elements: dict[str, np.ndarray]) -> bytes:
 
 
 def _obj(vertices: np.ndarray, faces: np.ndarray, label: np.ndarray) -> bytes:
-    # The shortest decimal that reads back as the same double is what repr gives.
+    # repr gives the shortest decimal that is read as the same double.
     ink = ["{:.4f} {:.4f} {:.4f}".format(*row) for row in _colours(label) / 255.0]
     lines = ["# organ surface; unit: millimetre; vertex colours tell the lesion"]
     lines += [
@@ -317,7 +317,7 @@ def _ply_layout(
 def _with_properties(
     path: Path, elements: dict[str, np.ndarray], names: tuple[str, ...]
 ) -> np.ndarray:
-    """The vertices of a PLY file, which must have these properties."""
+    """Return the vertices of a PLY file; raise if a property is missing."""
     rows = elements.get("vertex")
     present = () if rows is None else rows.dtype.names or ()
     missing = [name for name in names if name not in present]

@@ -1,4 +1,4 @@
-"""The report of a growth: what was asked for, what came out, and what decides it."""
+"""Report of a growth: request, outcome, and the versions that decide it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 FORMAT = 1
-"""Of the report; a new number when an entry changes its meaning or place."""
+"""Version of the report's format, raised when an entry changes its meaning or place."""
 
 GROWING = (
     "jaxgrow",
@@ -49,7 +49,7 @@ DECISIVE = (*GROWING, "pillow", "embreex")
 def make_report(
     growth: Growth, label: UInt8[np.ndarray, " m"] | None
 ) -> dict[str, Any]:
-    """What ``report.json`` holds, but the audit.
+    """Build the content of ``report.json``, except the audit.
 
     Lengths are in mm, forces in F(0), times in seconds. Numbers that are not finite
     are None.
@@ -109,11 +109,11 @@ def make_report(
 
 
 def describe_scene(scene: Scene, organ: Organ | None) -> dict[str, Any]:
-    """A scene as nested entries, with what it leaves to defaults filled in.
+    """Describe a scene as nested entries, with its defaults filled in.
 
     Args:
         scene: the scene.
-        organ: its organ, made or read; it knows on which side its tissue is.
+        organ: its organ, built or read, which has the side of the tissue.
     """
     given = scene.organ
     if given is not None and not isinstance(given, str | Path):
@@ -133,7 +133,10 @@ def describe_scene(scene: Scene, organ: Organ | None) -> dict[str, Any]:
 
 
 def versions(names: Sequence[str] = DECISIVE) -> dict[str, str | None]:
-    """Of Python and of all distributions that decide a result; None: not there."""
+    """Return the versions of Python and of all distributions that matter.
+
+    A distribution that is not installed has None.
+    """
     found: dict[str, str | None] = {"python": platform.python_version()}
     for name in names:
         found[name] = None
@@ -143,7 +146,7 @@ def versions(names: Sequence[str] = DECISIVE) -> dict[str, str | None]:
 
 
 def named(tree: Any) -> dict[str, Any]:
-    """Fields of a dataclass or a named tuple by their names; a mapping as it is."""
+    """Return the fields of a dataclass or named tuple as a mapping."""
     if isinstance(tree, Mapping):
         return dict(tree)
     if dataclasses.is_dataclass(tree):
@@ -154,7 +157,7 @@ def named(tree: Any) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """The same in the types that JSON has; what is not finite becomes None."""
+    """Convert a value to JSON's types; non-finite numbers become None."""
     if isinstance(value, Mapping):
         return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, enum.Enum):

@@ -1,4 +1,4 @@
-"""A run's folder: organ, particles, picture and report, whole or not there at all."""
+"""Run folder: organ, particles, picture and report, complete or absent."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ _PARTIAL = ".jaxgrow-"
 
 
 class RunFolderError(ValueError):
-    """A folder that cannot be written or read; its message is for the user."""
+    """Error of a folder that cannot be written or read, for the user."""
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What a run's folder holds.
+    """Content of a run folder.
 
     Attributes:
         vertices: of the whole organ in mm; None for a free cluster.
@@ -52,7 +52,7 @@ class Run:
         label: of every vertex, 0 healthy, 1 lesion; None for a free cluster.
         position: of the particles, in mm.
         species: of the particles, 0 tissue, 1 tumour.
-        report: what `jaxgrow.io.report.make_report` says.
+        report: the content of `jaxgrow.io.report.make_report`.
     """
 
     vertices: Float[np.ndarray, "m 3"] | None
@@ -64,7 +64,7 @@ class Run:
 
 
 def check_destination(directory: str | Path) -> None:
-    """Refuse, before a growth, a folder that a run could not be written to.
+    """Raise, before a growth, if a run could not be written to a folder.
 
     A folder may be new, empty, or hold an earlier run, which will be replaced.
 
@@ -107,7 +107,7 @@ def _check_content(directory: Path) -> None:
 def write_run(
     growth: Growth, directory: str | Path, formats: Sequence[str] = ("ply",)
 ) -> dict[str, Any]:
-    """Write a growth's folder; it is complete, or as it was before.
+    """Write a growth's run folder atomically; it is complete or unchanged.
 
     Everything is written to a temporary folder first. A new folder then appears by
     one renaming. In a folder that exists, an earlier run's report is removed first and
@@ -115,14 +115,14 @@ def write_run(
 
     ==================  =============================================================
     ``organ.ply``       the whole organ with the lesion, labelled; none for a free
-                        cluster; likewise ``organ.obj``, ``.stl``, ``.glb``
+                        cluster; also ``organ.obj``, ``.stl``, ``.glb``
     ``particles.ply``   positions, species and radii of all particles
     ``growth.png``      the surface view and the inner view
     ``report.json``     request, outcome, counts, residuals, seconds, versions, audit
     ==================  =============================================================
 
     Args:
-        growth: what to write, whether it reached what was asked for or not.
+        growth: the growth, successful or not.
         directory: the folder; see `check_destination`.
         formats: of the organ's surface, besides PLY.
 
@@ -206,7 +206,7 @@ def _draw(
 
 
 def describe(growth: Growth) -> str:
-    """What grew, in one line."""
+    """Describe a growth in one line."""
     where = "grown freely"
     if growth.site is not None and growth.organ is not None:
         where = f"at {growth.site.name} of {growth.organ.name}"
@@ -215,7 +215,7 @@ def describe(growth: Growth) -> str:
 
 
 def _replace(directory: Path, partial: Path) -> None:
-    """Put a complete run in the place of an earlier one."""
+    """Replace an earlier run by a complete one."""
     for name in sorted(_FILES, key=lambda name: name != REPORT):
         (directory / name).unlink(missing_ok=True)
     for file in sorted(partial.iterdir(), key=lambda file: file.name == REPORT):
@@ -223,10 +223,10 @@ def _replace(directory: Path, partial: Path) -> None:
 
 
 def read_run(directory: str | Path) -> Run:
-    """Read a run's folder back.
+    """Read a run folder.
 
     Raises:
-        RunFolderError: it is no folder, no run, or one of its files is damaged.
+        RunFolderError: it is not a folder, not a run, or one of its files is damaged.
     """
     directory = Path(directory)
     if not (directory / REPORT).is_file():
@@ -248,7 +248,7 @@ def read_run(directory: str | Path) -> Run:
 
 
 def _reason(error: Exception) -> str:
-    """Why a file of a run cannot be read, in words."""
+    """Return why a file of a run cannot be read, in words."""
     if isinstance(error, OSError):
         return f"{Path(str(error.filename)).name}: {error.strerror}."
     if isinstance(error, json.JSONDecodeError | UnicodeDecodeError):
@@ -259,10 +259,10 @@ def _reason(error: Exception) -> str:
 
 
 def audit_run(directory: str | Path) -> Audit:
-    """Check a run from its files alone; nothing is taken from the growth's memory.
+    """Audit a run from its files alone, independent of the growth's memory.
 
     Raises:
-        RunFolderError: it is no folder, no run, or one of its files is damaged.
+        RunFolderError: it is not a folder, not a run, or one of its files is damaged.
     """
     from jaxgrow.io.audit import audit_arrays
 
