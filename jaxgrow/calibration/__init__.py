@@ -1,4 +1,4 @@
-"""Parameters from what an expert knows of a shape: targets, search, uncertainty."""
+"""Calibration: parameters from an expert's targets, with uncertainties."""
 
 from jaxgrow.calibration.fit import fit as fit
 from jaxgrow.calibration.outcome import Fit as Fit, Outcome as Outcome

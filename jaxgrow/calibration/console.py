@@ -1,4 +1,4 @@
-"""A fit on the terminal: a line for every evaluation, and the tables at its end."""
+"""Progress and results of a fit on the terminal."""
 
 import math
 import sys
@@ -12,7 +12,7 @@ from jaxgrow.calibration.search import End, Tried
 
 
 def say_tried(tried: Tried) -> None:
-    """One line on standard error."""
+    """Print one line for an evaluation on standard error."""
     values = ", ".join(f"{value:.4g}" for value in tried.values)
     what = f"loss {tried.loss:.4g}" if tried.failure is None else tried.failure
     kept = ", accepted" if tried.accepted and tried.number else ""
@@ -21,16 +21,16 @@ def say_tried(tried: Tried) -> None:
 
 
 def say_grown(measured: Measured) -> None:
-    """One line on standard error."""
+    """Print one line for a growth on standard error."""
     line = f"  seed {measured.seed}: {measured.result}"
     print(line, file=sys.stderr, flush=True)  # noqa: T201  (the command's own output)
 
 
 def show(fit: Fit) -> None:
-    """The parameters, the targets against what is achieved, and why not.
+    """Print the parameters, the targets and the reasons for missed ones.
 
-    "achieved" is the mean that the lesions of all evaluations tell of the fitted
-    parameters, "grown" that of the few that were grown with them.
+    "achieved" is the mean at the fitted parameters as estimated from the lesions of all
+    evaluations, "grown" the mean of the few that were grown with them.
     """
     console = Console(highlight=False)
     table = Table("parameter", "fitted", "one deviation", "of targets", "of seeds")

@@ -5,9 +5,9 @@ one b,
 
 .. math:: p = a (b/a)^s \quad (a > 0), \qquad p = a + (b - a)\, s \quad (a \le 0),
 
-so every u stands for a value between the bounds. A parameter that may be anything
-between them, all (logarithms of) values being equally likely, has a logistic density
-in u, with variance :math:`\pi^2/3`.
+so every u maps to a value between the bounds. A parameter whose value (or its
+logarithm, if a > 0) is uniform between them has a logistic density in u, with variance
+:math:`\pi^2/3`.
 """
 
 import math
@@ -22,11 +22,11 @@ from jaxgrow.calibration.spec import Bounds
 
 
 PRIOR_VARIANCE = math.pi**2 / 3
-"""Of a coordinate of which nothing is known but the bounds."""
+"""Variance of a coordinate of which only the bounds are known."""
 
 
 class Coordinates(eqx.Module):
-    """The map between coordinates and parameters, in 64 bits.
+    """Map between unconstrained coordinates and parameters, in 64 bits.
 
     Attributes:
         low: lower bounds.
@@ -40,14 +40,14 @@ class Coordinates(eqx.Module):
 
     @classmethod
     def between(cls, bounds: Iterable[Bounds]) -> "Coordinates":
-        """The coordinates between these bounds."""
+        """Return the coordinates between these bounds."""
         bounds = list(bounds)
         low = jnp.asarray([b.low for b in bounds], float)
         high = jnp.asarray([b.high for b in bounds], float)
         return cls(low, high, low > 0)
 
     def parameters(self, u: Float[Array, " p"]) -> Float[Array, " p"]:
-        """The parameters at these coordinates."""
+        """Map coordinates to parameters."""
         low, high = self._scaled(self.low), self._scaled(self.high)
         value = low + (high - low) * jax.nn.sigmoid(u)
         power = jnp.exp(jnp.where(self.logarithmic, value, 0))
@@ -55,13 +55,13 @@ class Coordinates(eqx.Module):
         return jnp.clip(jnp.where(self.logarithmic, power, value), self.low, self.high)
 
     def coordinates(self, values: Float[Array, " p"]) -> Float[Array, " p"]:
-        """The coordinates of parameters between the bounds."""
+        """Map parameters between the bounds to coordinates."""
         low, high = self._scaled(self.low), self._scaled(self.high)
         share = (self._scaled(values) - low) / (high - low)
         return jax.scipy.special.logit(share)
 
     def slopes(self, u: Float[Array, " p"]) -> Float[Array, " p"]:
-        """The derivative of every parameter in its own coordinate."""
+        """Return the derivative of every parameter in its own coordinate."""
         return jax.jvp(self.parameters, (u,), (jnp.ones_like(u),))[1]
 
     def _scaled(self, values: Float[Array, " p"]) -> Float[Array, " p"]:

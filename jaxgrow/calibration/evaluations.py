@@ -1,4 +1,4 @@
-"""The growths of a fit: made once, kept, and read back when the fit goes on."""
+"""Growths of a fit: made once, stored, and read when the fit is resumed."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -23,15 +23,15 @@ from jaxgrow.scene.scene import Lesion, Scene
 
 
 FORMAT = 1
-"""Of the file; a new number when an entry changes its meaning or place."""
+"""Version of the file's format, raised when an entry changes its meaning or place."""
 
 Values = tuple[float, ...]
-"""Of the fitted parameters, in the order of the task."""
+"""Values of the fitted parameters, in the order of the task."""
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What is known of one growth.
+    """Record of one growth.
 
     Attributes:
         seed: of the growth.
@@ -39,7 +39,7 @@ class Measured:
         result: name of the growth's result; NON_FINITE if it has no finite metrics.
         metrics: in the order of the targets; empty if the growth failed.
         slopes: derivative of each metric in each fitted parameter, along the frozen
-            path of the growth; None if it was not asked for, empty if it failed.
+            path of the growth; None if not requested, empty if it failed.
     """
 
     seed: int
@@ -56,28 +56,28 @@ class Measured:
 
 @runtime_checkable
 class Grower(Protocol):
-    """What makes growths; tests put another one in its place."""
+    """Source of growths; tests substitute another one."""
 
     def measure(self, seed: int, values: Values) -> Measured:
-        """Grow, and take the metrics."""
+        """Grow a lesion and return its metrics."""
         ...
 
     def slopes(self, seed: int, values: Values) -> tuple[tuple[float, ...], ...]:
-        """The derivatives of the metrics; empty if they do not exist."""
+        """Return the derivatives of the metrics; empty if they do not exist."""
         ...
 
 
 class LesionGrower:
-    """Growths of a scene.
+    """Grower of a scene's lesions by `jaxgrow.grow`.
 
-    They are those of `jaxgrow.grow` as it comes. The derivatives are of a replay of
-    their events, whose equilibria are exact enough for a derivative (1e-10 F(0)): the
-    same lesions in the same packings, with metrics that differ by some tenths of a per
-    cent from those at 1e-3. Growing to 1e-10 at once takes two to three times as long.
+    The growths have the default tolerance. The derivatives are of a replay of their
+    events, whose equilibria are exact enough for a derivative (1e-10 F(0)): the same
+    lesions in the same packings, with metrics that differ by some tenths of a per cent
+    from those at 1e-3. Growing at 1e-10 directly takes two to three times as long.
 
     Args:
-        scene: what to grow.
-        task: what to measure and to change.
+        scene: the scene to grow.
+        task: gives the metrics and the fitted parameters.
     """
 
     def __init__(self, scene: Scene, task: Task) -> None:
@@ -86,10 +86,10 @@ class LesionGrower:
         self._events: dict[tuple[int, Values], Events] = {}
 
     def measure(self, seed: int, values: Values) -> Measured:
-        """Grow, and take the metrics."""
+        """Grow a lesion and return its metrics."""
         growth = self._grow(seed, self._parameters(jnp.asarray(values)))
         if any(other != values for _, other in self._events):
-            self._events.clear()  # derivatives are asked for at the last values only
+            self._events.clear()  # derivatives are requested at the last values only
         self._events[seed, values] = growth.events
         metrics = np.asarray(self._metrics(growth))
         result = growth.result
@@ -99,7 +99,7 @@ class LesionGrower:
         return Measured(seed, values, result.name, kept)
 
     def slopes(self, seed: int, values: Values) -> tuple[tuple[float, ...], ...]:
-        """The derivatives of the metrics; empty if they do not exist."""
+        """Return the derivatives of the metrics; empty if they do not exist."""
         if (seed, values) not in self._events:  # the fit was interrupted in between
             self.measure(seed, values)
         events = self._events[seed, values]
@@ -140,18 +140,18 @@ class LesionGrower:
 
 
 class Growths:
-    """All growths of a fit, each made once.
+    """Store of all growths of a fit, each made once.
 
-    With a file, it is written anew after every growth and read at the start. A fit asks
-    for its growths in an order that depends on their numbers alone, and JSON keeps
-    every bit of a number; so a fit that was interrupted takes the same way again, finds
-    what it had grown, and ends with the result that it would have had.
+    With a file, it is rewritten after every growth and read at the start. A fit
+    requests its growths in an order that depends on their numbers alone, and JSON keeps
+    every bit of a number; so a fit that was interrupted repeats the same path, finds
+    its earlier growths, and ends with the same result.
 
     Args:
-        grower: makes those that are not known.
-        request: what the fit was asked for; a file with another request is refused.
-        file: keeps them; its folder is made with it. None to keep them in memory.
-        grown: called after every growth that is made.
+        grower: makes those that are not stored.
+        request: request of the fit; a file with another request is refused.
+        file: stores them; its folder is created with it. None for memory only.
+        grown: called after every new growth.
 
     Raises:
         FitError: the file holds another fit, or is damaged.
@@ -174,11 +174,11 @@ class Growths:
 
     @property
     def all(self) -> Sequence[Measured]:
-        """All that is known, in the order in which it was grown."""
+        """All stored growths, in the order in which they were made."""
         return tuple(self._known.values())
 
     def measure(self, seed: int, values: Values) -> Measured:
-        """The metrics of a growth."""
+        """Return the metrics of a growth, growing it if it is not stored."""
         if (seed, values) not in self._known:
             measured = self._grower.measure(seed, values)
             self._keep(measured)
@@ -187,7 +187,7 @@ class Growths:
         return self._known[seed, values]
 
     def slopes(self, seed: int, values: Values) -> tuple[tuple[float, ...], ...]:
-        """The derivatives of the metrics of a growth; empty if they do not exist."""
+        """Return the derivatives of a growth's metrics; empty if none exist."""
         known = self.measure(seed, values)
         if known.slopes is None:
             known = replace(known, slopes=self._grower.slopes(seed, values))
@@ -215,18 +215,18 @@ class Growths:
 
 
 def read_fit(file: Path, request: dict[str, Any]) -> dict[str, Any]:
-    """The content of a fit's file.
+    """Read a fit's file and check that it fits the request.
 
     Args:
         file: to read.
-        request: what the fit must have been asked for, but for the number of
-            evaluations: with more of them it goes on.
+        request: the request that the fit must have, except the number of evaluations:
+            with more of them it is continued.
 
     Raises:
         FitError: it is damaged, or of another request, format or version.
     """
     content = _read(file)
-    # as JSON gives it back: lists for tuples
+    # as JSON returns it: lists for tuples
     found, wanted = content["request"], json.loads(json.dumps(request))
     found = _with_later_entries(found, wanted)
     asked, asking = ({**each, "versions": None} for each in (found, wanted))
@@ -241,13 +241,13 @@ def read_fit(file: Path, request: dict[str, Any]) -> dict[str, Any]:
 
 
 _LATER = ("divisions_per_step",)
-"""Entries of a lesion that the first files do not have; they had its default."""
+"""Entries of a lesion that the first files lack; they had its default."""
 
 
 def _with_later_entries(
     found: dict[str, Any], wanted: dict[str, Any]
 ) -> dict[str, Any]:
-    """A kept request with the entries that there were none of when it was written."""
+    """Add the entries to a stored request that did not exist at its time."""
     scene = found.get("scene")
     if not (isinstance(scene, dict) and isinstance(scene.get("lesion"), dict)):
         return found
@@ -259,7 +259,7 @@ def _with_later_entries(
 
 
 def _read(file: Path) -> dict[str, Any]:
-    """The content of a file that has the format of this version."""
+    """Read a file that has the format of this version."""
     try:
         content = json.loads(file.read_text(encoding="utf-8"))
         form = content["format"]
@@ -284,7 +284,7 @@ def _read(file: Path) -> dict[str, Any]:
 def _check_versions(
     folder: Path, found: dict[str, Any], wanted: dict[str, Any]
 ) -> None:
-    """Refuse growths of other versions; one that the file does not name says nothing.
+    """Raise if growths are of other versions; unnamed versions pass.
 
     Raises:
         FitError: names all that differ.
@@ -315,7 +315,7 @@ def _measured(entry: dict[str, Any]) -> Measured:
 
 
 def _first_difference(found: Any, wanted: Any, path: str = "") -> str | None:
-    """The first entry that differs, by its path; None if none does."""
+    """Return the path of the first entry that differs; None if none does."""
     if path == "task.fit.evaluations" or found == wanted:
         return None
     if not (isinstance(found, dict) and isinstance(wanted, dict)):

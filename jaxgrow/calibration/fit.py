@@ -1,4 +1,4 @@
-"""Fit parameters of growth to what an expert knows of a shape."""
+"""Fit of growth parameters to an expert's description of a shape."""
 
 import hashlib
 import math
@@ -37,33 +37,33 @@ def fit(
     grower: Grower | None = None,
     **effort: Any,
 ) -> Fit:
-    r"""Find parameters with which lesions have the shape that an expert describes.
+    r"""Fit parameters so that lesions have the shape that an expert describes.
 
-    The least of :math:`\frac12 \sum_t ((\bar m_t - m_t)/\sigma_t)^2` is sought, with
-    the means of the metrics over several seeds (`jaxgrow.calibration.loss` says why),
-    by steps along gradients that are accepted only if lesions that are grown anew show
-    that they lead closer to the targets, and without derivatives where those fail
-    (`jaxgrow.calibration.search`). A growth that ends with anything but REACHED makes
-    the loss infinite: the step is refused, and `Fit.failures` has it.
+    Minimises :math:`\frac12 \sum_t ((\bar m_t - m_t)/\sigma_t)^2` with the means of the
+    metrics over several seeds (for the reason see `jaxgrow.calibration.loss`), by
+    gradient steps that are accepted only if newly grown lesions show that they lead
+    closer to the targets, and without derivatives where those fail
+    (`jaxgrow.calibration.search`). A growth with a result other than REACHED makes the
+    loss infinite: the step is refused, and recorded in `Fit.failures`.
 
     Lesions differ from seed to seed, small ones (ten divisions) by a third in height,
     and a parameter that changes by a per cent changes the packing as another seed does.
-    So the fit is that of the mean over its seeds, and what it says of a point is a
+    So the fit is that of the mean over its seeds, and the estimate at a point is a
     regression over the lesions of all points near it. More seeds, or larger lesions,
     make it sharper; fewer than eight seeds understate the uncertainties.
 
     Args:
-        scene: what to grow. Its parameters hold where none is fitted.
+        scene: the scene to grow. Its parameters apply unless fitted.
         targets: of metrics (`jaxgrow.metrics.shape.ShapeMetrics`), by their names;
             a pair is value and uncertainty.
         parameters: to be fitted, by their names; a pair is low and high.
-        folder: of an earlier fit to go on with, or of a new one: the growths are kept
+        folder: of an earlier fit to continue, or of a new one: the growths are stored
             in its ``fit.json``, and a fit that was interrupted ends with the same
             result as one that was not. At the end the fitted scene and a plot are
             written to it. None to write nothing.
         optimiser: of optax, for the steps in unconstrained coordinates; by default
-            `jaxgrow.calibration.search.gauss_newton`. It is not part of what a folder
-            is checked for.
+            `jaxgrow.calibration.search.gauss_newton`. It is not part of a folder's
+            request.
         progress: called after every evaluation.
         grown: called after every growth.
         grower: makes the growths, instead of `jaxgrow.grow`.
@@ -74,8 +74,7 @@ def fit(
         The fit; its outcome is REACHED, UNREACHED or NOT_GROWN.
 
     Raises:
-        FitError: a name, a bound or an effort makes no sense, or the folder cannot be
-            used.
+        FitError: a name, a bound or an effort is invalid, or the folder cannot be used.
         OrganError: the organ or the site cannot be used.
     """
     entries = {"targets": targets, "parameters": parameters, "fit": effort}
@@ -122,10 +121,10 @@ def fit(
 def _start(
     scene: Scene, task: Task, coordinates: Coordinates
 ) -> Float[np.ndarray, " p"]:
-    """The coordinates of where the search begins.
+    """Return the coordinates of the start of the search.
 
     Raises:
-        FitError: that is not between the bounds, or a target needs a surface.
+        FitError: it is not between the bounds, or a target needs a surface.
     """
     values = list[float]()
     for name, bounds in task.parameters.items():
@@ -157,7 +156,7 @@ def _start(
 
 
 def describe_request(scene: Scene, task: Task) -> dict[str, Any]:
-    """All that decides the growths of a fit, as nested entries."""
+    """Describe all inputs that decide a fit's growths, as nested entries."""
     lesion = scene.lesion.model_dump(mode="json")
     return {
         "scene": {
@@ -174,7 +173,7 @@ def describe_request(scene: Scene, task: Task) -> dict[str, Any]:
 
 
 def _identity(organ: Organ | Path | str | None) -> str | None:
-    """The built-in organ's name, or the digest of what decides a mesh."""
+    """Return the built-in organ's name, or a name with the digest of a mesh."""
     if organ is None or organ == "uterus":
         return organ if isinstance(organ, str) else None
     digest = hashlib.sha256()
@@ -183,6 +182,6 @@ def _identity(organ: Organ | Path | str | None) -> str | None:
             digest.update(np.ascontiguousarray(array).tobytes())
         return f"{organ.name} {digest.hexdigest()[:16]}"
     path = Path(organ)
-    if path.is_file():  # if not, growing will say so
+    if path.is_file():  # else growing raises the error
         digest.update(path.read_bytes())
     return f"{path.name} {digest.hexdigest()[:16]}"

@@ -1,4 +1,4 @@
-"""A fit's folder: growths and outcome, the fitted scene, and a plot.
+"""Folder of a fit: growths and outcome, the fitted scene, and a plot.
 
 ===============  ====================================================================
 ``fit.json``     request, every growth made so far, and at the end the outcome
@@ -32,9 +32,10 @@ PICTURE = "fit.png"
 
 
 def check_folder(folder: Path, scene: Scene) -> None:
-    """Refuse a folder that no fit could be written to; it is made with its first file.
+    """Raise if a fit could not be written to a folder.
 
-    It may be new, empty, or hold a fit, which then goes on.
+    It may be new (it is created with its first file), empty, or hold a fit, which is
+    then continued.
 
     Raises:
         FitError: it is a file, holds something else, or cannot be written to; or the
@@ -71,7 +72,7 @@ def check_folder(folder: Path, scene: Scene) -> None:
 
 
 def write_folder(fit: Fit, growths: Growths, folder: Path) -> None:
-    """Write what a fit found; its outcome comes last."""
+    """Write the results of a fit; the outcome comes last."""
     text = scene_toml(fit.scene, folder)
     write_atomically(folder / SCENE, lambda file: file.write(text.encode()))
     draw_fit(fit, folder / PICTURE)
@@ -79,7 +80,7 @@ def write_folder(fit: Fit, growths: Growths, folder: Path) -> None:
 
 
 def scene_toml(scene: Scene, folder: Path) -> str:
-    """A scene as the text of a file in a folder, for `jaxgrow.load_scene`."""
+    """Format a scene as TOML for `jaxgrow.load_scene`, relative to a folder."""
     organ = scene.organ
     if organ not in (None, "uterus"):
         organ = os.path.relpath(str(organ), folder)

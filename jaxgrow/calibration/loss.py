@@ -1,4 +1,4 @@
-r"""The loss of parameters, and what all lesions that were grown say of it.
+r"""Loss of parameters, and its estimate from all grown lesions.
 
 .. math:: L(p) = \frac12 \sum_t \Big(\frac{\bar m_t(p) - m_t}{\sigma_t}\Big)^2
 
@@ -9,8 +9,8 @@ parameters under which lesions differ less over those that give the right shape.
 *Estimates.* A parameter that changes by a fraction of a per cent changes the packing of
 a lesion as another seed does. So the metrics of two evaluations scatter, and the point
 with the least loss is in part the luckiest one; and the derivative of a growth, which
-is that of its frozen choices, misses how the choices respond. Both are mended by what
-the other evaluations show: with their distances :math:`\Delta u_k` in the unconstrained
+is that of its frozen choices, lacks the response of the choices. Both are corrected by
+the other evaluations: with their distances :math:`\Delta u_k` in the unconstrained
 coordinates, the residuals :math:`r_{ks} = (m_{ks} - m)/\sigma` of each seed, and the
 frozen sensitivities :math:`J_0`, a local linear regression (Cleveland 1979) takes, with
 :math:`w_k = e^{-|\Delta u_k|^2}`,
@@ -19,9 +19,9 @@ frozen sensitivities :math:`J_0`, a local linear regression (Cleveland 1979) tak
           + \mu |J_s - J_0|^2 .
 
 :math:`\bar a` are the residuals and :math:`\bar J` the sensitivities of the mean
-lesion. Where a point stands alone they are its own and the frozen ones. Since every
-seed has its own regression, their spread is the error of the estimate, whether lesions
-of one seed are alike or not.
+lesion. For an isolated point they are its own and the frozen ones. Since every seed has
+its own regression, their spread is the error of the estimate, whether or not lesions of
+one seed are alike.
 """
 
 import math
@@ -45,7 +45,7 @@ SLOPES = 4
 
 
 class Evaluation(NamedTuple):
-    """The loss at a point.
+    """Evaluation of the loss at a point.
 
     Attributes:
         u: unconstrained coordinates of the parameters.
@@ -63,12 +63,12 @@ class Evaluation(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """What all evaluations say of a point.
+    """Estimate of residuals and sensitivities at a point, by all evaluations.
 
     Attributes:
         residuals: (metric - target) / uncertainty, for every seed.
         jacobians: their sensitivities, in the unconstrained coordinates.
-        informed: whether evaluations tell more of the sensitivities than the frozen
+        informed: whether evaluations determine the sensitivities better than the frozen
             ones do, in every direction.
     """
 
@@ -78,27 +78,27 @@ class Estimate(NamedTuple):
 
     @property
     def residual(self) -> Float[np.ndarray, " t"]:
-        """Of the mean over the seeds."""
+        """Residual of the mean over the seeds."""
         return self.residuals.mean(axis=0)
 
     @property
     def jacobian(self) -> Float[np.ndarray, "t p"]:
-        """Of the mean over the seeds."""
+        """Jacobian of the mean over the seeds."""
         return self.jacobians.mean(axis=0)
 
     @property
     def loss(self) -> float:
-        """Of the mean over the seeds."""
+        """Loss of the mean over the seeds."""
         return float(np.sum(self.residual**2) / 2)
 
     @property
     def gradient(self) -> Float[np.ndarray, " p"]:
-        """Of the loss."""
+        """Gradient of the loss."""
         return self.jacobian.T @ self.residual
 
     @property
     def curvature(self) -> Float[np.ndarray, "p p"]:
-        """Gauss-Newton's, JᵀJ."""
+        """Gauss-Newton curvature JᵀJ."""
         return self.jacobian.T @ self.jacobian
 
     @property
@@ -110,7 +110,7 @@ class Estimate(NamedTuple):
 
     @property
     def residual_error(self) -> Float[np.ndarray, "t t"]:
-        """Covariance of the mean residual; 0 for one seed, which tells nothing."""
+        """Covariance of the mean residual; 0 (unknown) for one seed."""
         return _error(self.residuals)
 
     @property
@@ -131,7 +131,7 @@ class Estimate(NamedTuple):
 
 
 def _error(rows: Float[np.ndarray, "s k"]) -> Float[np.ndarray, "k k"]:
-    """Covariance of the mean of rows, from their spread; 0 for one row."""
+    """Compute the covariance of the mean of rows; 0 for one row."""
     seeds, number = rows.shape
     if seeds == 1:
         return np.zeros((number, number))
@@ -139,15 +139,15 @@ def _error(rows: Float[np.ndarray, "s k"]) -> Float[np.ndarray, "k k"]:
 
 
 class Loss:
-    """The loss of a task.
+    """Loss of a task.
 
     Args:
-        task: what is asked for.
+        task: the targets.
         coordinates: of its parameters.
-        growths: that it is made of.
+        growths: source of the growths.
 
     Attributes:
-        grown: all evaluations whose lesions grew to their end.
+        grown: all evaluations whose growths succeeded.
     """
 
     def __init__(self, task: Task, coordinates: Coordinates, growths: Growths) -> None:
@@ -176,7 +176,7 @@ class Loss:
         return found
 
     def frozen(self, at: Evaluation) -> Float[np.ndarray, "t p"] | None:
-        """Mean sensitivities of growths with frozen choices; None if none has any."""
+        """Return mean sensitivities at frozen choices; None if none exist."""
         if at.metrics is None:
             return None
         seeds = self._seeds[:SLOPES]
@@ -190,7 +190,7 @@ class Loss:
     def estimate(
         self, u: Float[np.ndarray, " p"], frozen: Float[np.ndarray, "t p"]
     ) -> Estimate:
-        """What all evaluations say of a point; at least one must have grown."""
+        """Estimate a point from all evaluations; at least one must have grown."""
         number = len(u)
         square = np.diag([0.0, *[RIDGE] * number])
         prior = np.vstack([np.zeros(len(frozen)), RIDGE * frozen.T])
@@ -203,7 +203,7 @@ class Loss:
             square += np.outer(weighted, line)
             mixed += weighted[:, None] * self._residuals(other.metrics)[:, None]
         found = np.linalg.solve(square, mixed)
-        # what is left of the slopes' information when the intercept is free
+        # information on the slopes with the intercept eliminated
         told = square[1:, 1:] - np.outer(square[0, 1:], square[0, 1:]) / square[0, 0]
         told = told - RIDGE * np.eye(number)
         informed = float(np.linalg.eigvalsh(told)[0]) > RIDGE

@@ -1,4 +1,4 @@
-"""What came of a fit: parameters and targets, with what is known of them."""
+"""Outcome of a fit: parameters and targets with their uncertainties."""
 
 import enum
 from dataclasses import dataclass
@@ -13,10 +13,10 @@ from jaxgrow.scene.scene import Scene
 
 
 class Outcome(enum.Enum):
-    """What came of a fit; the value is the sentence that a user reads.
+    """Outcome of a fit; the value is the sentence that a user reads.
 
-    Targets are reached by the mean that is estimated from all lesions; the few that
-    are grown with the fitted parameters scatter around it.
+    The criterion is the mean that is estimated from all lesions; the few that are grown
+    with the fitted parameters scatter around it.
     """
 
     REACHED = "All targets are reached within their uncertainty."
@@ -33,19 +33,19 @@ class Outcome(enum.Enum):
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A fit, whether it reached its targets or not.
+    """Fit of parameters, whether it reached its targets or not.
 
     Attributes:
         scene: with the fitted parameters.
-        task: what was asked for.
+        task: targets, bounds and effort.
         outcome: whether the targets are reached.
         end: why the search ended.
         loss: at the fitted parameters.
         parameters: the fitted ones with their uncertainties.
-        targets: what was asked for, what was achieved, and why not; empty if nothing
-            grew.
+        targets: each target, its achieved value, and the reason if it is missed; empty
+            if nothing grew.
         history: every evaluation, in its order.
-        growths: all that are known, of an earlier fit in the folder too.
+        growths: all stored growths, including those of an earlier fit in the folder.
     """
 
     scene: Scene
@@ -60,11 +60,11 @@ class Fit:
 
     @property
     def failures(self) -> tuple[str, ...]:
-        """Of all evaluations in which a growth failed: which one, and how."""
+        """The failed growth of each failed evaluation, and its result."""
         return tuple(tried.failure for tried in self.history if tried.failure)
 
     def as_dict(self) -> dict[str, Any]:
-        """The outcome in the types that JSON has; what is not finite is None."""
+        """Return the outcome in JSON's types; non-finite numbers become None."""
         return plain(
             {
                 "outcome": self.outcome.name,

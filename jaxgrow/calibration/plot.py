@@ -1,4 +1,4 @@
-"""The plot of a fit: loss by evaluation, and targets against what is achieved."""
+"""Plot of a fit: loss by evaluation, and targets with achieved values."""
 
 import math
 from pathlib import Path
@@ -14,12 +14,12 @@ _REACH = 4.0  # uncertainties to either side of a target
 
 
 def draw_fit(fit: Fit, path: Path) -> None:
-    """Write the plot as a PNG; it is whole or absent.
+    """Write the plot of a fit as a PNG, atomically.
 
     Left: the loss of every evaluation's own lesions, a filled disc where it was
     accepted, a hollow one where it was refused, a red one at the top where a growth
-    failed; a line at the least so far. A step is accepted for the loss that all lesions
-    tell of it (`jaxgrow.calibration.loss.Estimate`), so a disc may lie above the line.
+    failed; a line at the least so far. A step is accepted by the loss estimated from
+    all lesions (`jaxgrow.calibration.loss.Estimate`), so a disc may lie above the line.
     Right: the distance from every target in its uncertainties, with the standard
     deviation of one lesion over the seeds, and a grey band where a target is reached.
     """

@@ -1,20 +1,20 @@
-r"""The search: an optimiser's steps along gradients, then a derivative-free method.
+r"""Search by gradient steps of an optimiser, then by a simplex method.
 
 1. The optimiser (any of optax) proposes a step from the gradient at the best point. It
-   is that of the growths there, until other evaluations tell more of it.
-2. The lesions are grown anew there. Only if the loss falls, as all lesions grown so far
-   tell it (`jaxgrow.calibration.loss.Estimate`), the step is accepted; else the next is
-   half as long. The derivative is that of a growth with frozen choices (see
-   `jaxgrow.grow`), so it may well propose what is no improvement; what a refused point
-   shows corrects it.
-3. If `REFUSALS` steps in turn are refused, or the derivative does not exist, or it
-   seems to vanish where a target is clearly missed, but is not known well enough for
-   that, Nelder and Mead's simplex (SciPy) goes on from the best point. From a start
-   that does not grow it leads to a point that does; gradients take over there.
+   is that of the growths there, until other evaluations determine it better.
+2. The lesions are grown there. Only if the loss falls, as estimated from all lesions
+   grown so far (`jaxgrow.calibration.loss.Estimate`), the step is accepted; else the
+   next is half as long. The derivative is that of a growth with frozen choices (see
+   `jaxgrow.grow`), so a step need not be an improvement; a refused point corrects it.
+3. If `REFUSALS` steps in a row are refused, or the derivative does not exist, or it
+   seems to vanish where a target is clearly missed, but is too uncertain to conclude
+   that, Nelder and Mead's simplex (SciPy) continues from the best point. From a start
+   whose growths fail it searches for a point at which they succeed; gradients take over
+   there.
 
-It ends when a step promises less than `GAIN`, or is shorter than a quarter of what the
-scatter over the seeds leaves open; when the simplex has shrunk; or when the evaluations
-are used up. The fit is the point where the estimated loss is least.
+It ends when a step promises less than `GAIN`, or is shorter than a quarter of its
+uncertainty by the scatter over the seeds; when the simplex has shrunk; or when the
+evaluations are used up. The fit is the point where the estimated loss is least.
 """
 
 import contextlib
@@ -35,18 +35,18 @@ from jaxgrow.calibration.loss import Estimate, Evaluation, Loss
 
 
 REFUSALS = 6
-"""Steps in turn that may be refused."""
+"""Largest number of refused steps in a row."""
 
 GAIN = 1e-3
 """Loss that a further step must promise; the loss is 1/2 at one standard deviation."""
 
 SETTLED = 1 / 16
-"""The same, as a share of what the scatter over the seeds lets a step seem to promise:
-a step is then a quarter as long as it is uncertain."""
+"""The same, as a share of the apparent gain by the scatter over the seeds: a step is
+then a quarter as long as it is uncertain."""
 
 KNOWN = 0.1
-"""Share of the loss that the gradient's own error may let a step seem to promise, for a
-target to count as one that no step reaches: sensitivities of three deviations."""
+"""Largest apparent gain by the gradient's own error, as a share of the loss, with which
+a target counts as unreachable by any step: sensitivities of three deviations."""
 
 LONGEST = 1.0
 """Longest step, in unconstrained coordinates."""
@@ -58,31 +58,31 @@ SIDE = 0.4
 """Sides of the first simplex, in unconstrained coordinates."""
 
 SIDE_FROM_FAILURE = 2.0
-"""The same, from a start that does not grow."""
+"""The same, from a start whose growths fail."""
 
 SHRUNK = 0.02
 """Sides of a simplex at which the search ends."""
 
 FURTHEST = 6.0
-"""Coordinate that is not passed: a quarter of a per cent before the bound."""
+"""Largest coordinate: a quarter of a per cent before the bound."""
 
 _WORST = 1e300  # for infinity: SciPy takes differences
-_DIGITS = 6  # of coordinates, so that points that a simplex comes back to are the same
+_DIGITS = 6  # of coordinates, so that points to which a simplex returns are the same
 
 
 class Tried(NamedTuple):
-    """One point of the search, for its history.
+    """Evaluated point of the search, for its history.
 
     Attributes:
         number: of the evaluation, from 0.
         how: "start", "gradient" or "derivative-free".
-        accepted: whether the search went on from it: the loss, as all lesions grown
-            so far tell it, is less than before ("derivative-free": its own loss is).
+        accepted: whether the search continued from it: the loss, as estimated from all
+            lesions grown so far, is less than before ("derivative-free": its own loss).
         loss: of the lesions of this point alone; infinite if a growth failed.
         values: the parameters.
         metrics: means over the seeds, in the order of the targets; None if a growth
             failed.
-        failure: which growth, and how; None if none did.
+        failure: the failed growth and its result; None if none failed.
     """
 
     number: int
@@ -95,7 +95,7 @@ class Tried(NamedTuple):
 
 
 class End(enum.Enum):
-    """Why a search ended; the value is the sentence that a user reads."""
+    """End of a search; the value is the sentence that a user reads."""
 
     CONVERGED = "No step along the gradient promises a noticeably smaller loss."
     SHRUNK = "The derivative-free search has narrowed down to one point."
@@ -103,11 +103,11 @@ class End(enum.Enum):
 
 
 class Search(NamedTuple):
-    """What a search found.
+    """Outcome of a search.
 
     Attributes:
         best: the point with the least estimated loss; the start if nothing grew.
-        estimate: of what all lesions say of it; None if nothing grew.
+        estimate: at this point, from all lesions; None if nothing grew.
         end: why it ended.
         history: all points, in their order.
     """
@@ -129,7 +129,7 @@ class _Grown(Exception):  # noqa: N818  (it ends a simplex, it is no error)
 def gauss_newton(
     damping: float = DAMPING, longest: float = LONGEST
 ) -> optax.GradientTransformationExtraArgs:
-    r"""The default optimiser: :math:`-(J^T J + \lambda)^{-1} g`, of bounded length.
+    r"""Make the default optimiser: :math:`-(J^T J + \lambda)^{-1} g`, clipped.
 
     Args:
         damping: :math:`\lambda`.
@@ -160,7 +160,7 @@ class _Trail:
     Attributes:
         history: all of them.
         best: the one with the least loss of its own, or the start.
-        frozen: the sensitivities that were asked for last; 0 before.
+        frozen: the sensitivities that were computed last; 0 before.
     """
 
     def __init__(
@@ -175,7 +175,7 @@ class _Trail:
     def evaluate(
         self, u: Float[np.ndarray, " p"], how: str, at: Evaluation | None = None
     ) -> tuple[Evaluation, bool]:
-        """The loss at a point, which counts unless it was there before.
+        """Evaluate the loss at a point; known points are not counted again.
 
         Args:
             u: the point.
@@ -205,11 +205,14 @@ class _Trail:
         return found, accepted
 
     def estimate(self, at: Evaluation) -> Estimate:
-        """What all evaluations say of a point that grew."""
+        """Estimate a point that grew from all evaluations."""
         return self.loss.estimate(at.u, self.frozen)
 
     def learn_slopes(self, at: Evaluation) -> bool:
-        """Take the sensitivities of the growths of a point; whether it has any."""
+        """Compute the sensitivities of a point's growths, if they exist.
+
+        The result is whether they do.
+        """
         frozen = self.loss.frozen(at)
         if frozen is not None:
             self.frozen = frozen
@@ -236,12 +239,12 @@ def search(
     optimiser: optax.GradientTransformation | None = None,
     progress: Callable[[Tried], None] | None = None,
 ) -> Search:
-    """Look for the least loss.
+    """Minimise the loss.
 
     Args:
-        loss: to be made small.
+        loss: to be minimised.
         start: unconstrained coordinates.
-        evaluations: at most; derivatives come on top.
+        evaluations: largest number, not counting derivatives.
         optimiser: proposes steps; `gauss_newton` if None. An optimiser that takes
             extra arguments is given `curvature`.
         progress: called after every evaluation.
@@ -269,7 +272,7 @@ def search(
 def _along_gradients(
     trail: _Trail, at: Evaluation, optimiser: optax.GradientTransformation
 ) -> End | None:
-    """The end if there is nothing left to gain; None if the gradients fail."""
+    """Step along gradients until no gain is left; None if they fail."""
     extended = optax.with_extra_args_support(optimiser)
     state, share, refused = extended.init(jnp.asarray(at.u)), 1.0, 0
     while refused < REFUSALS:
@@ -289,7 +292,7 @@ def _along_gradients(
         step = share * np.asarray(jax.tree.leaves(update)[0])
         found, accepted = trail.evaluate(at.u + step, "gradient", at)
         if accepted:
-            # what was too far this time is likely to be so again
+            # a step that was too long is likely to be so again
             at, state, share, refused = found, proposed, min(1.0, 2 * share), 0
         else:
             share, refused = share / 2, refused + 1
@@ -297,10 +300,10 @@ def _along_gradients(
 
 
 def _is_settled(here: Estimate) -> bool:
-    """Whether a Gauss-Newton step promises nothing that the seeds' scatter would show.
+    """Return whether a Gauss-Newton step promises no gain above the scatter.
 
-    Were all linear, it would lower the loss by gᵀH⁻¹g/2; the error of the residuals
-    alone, S, lets a step seem to promise tr(H⁻¹ Jᵀ S J)/2.
+    In the linear case, it would lower the loss by gᵀH⁻¹g/2; the error S of the
+    residuals alone gives an apparent gain of tr(H⁻¹ Jᵀ S J)/2.
     """
     promised = _promised(here, np.outer(here.gradient, here.gradient))
     scatter = here.jacobian.T @ here.residual_error @ here.jacobian
@@ -308,20 +311,23 @@ def _is_settled(here: Estimate) -> bool:
 
 
 def _is_known(here: Estimate) -> bool:
-    """Whether the gradient is known well enough to say that no step leads on."""
+    """Return whether the gradient is certain enough to rule out any gain."""
     one_seed = len(here.residuals) == 1
     error = _promised(here, here.gradient_error)
     return here.informed and not one_seed and error < KNOWN * here.loss
 
 
 def _promised(here: Estimate, square: Float[np.ndarray, "p p"]) -> float:
-    """tr(H⁻¹ G)/2, by how much steps lower the loss along gradients with ⟨g gᵀ⟩ = G."""
+    """Return tr(H⁻¹ G)/2, the expected gain along gradients with ⟨g gᵀ⟩ = G."""
     damped = here.curvature + DAMPING * np.eye(len(square))
     return float(np.trace(np.linalg.solve(damped, square)) / 2)
 
 
 def _grown(trail: _Trail, at: Evaluation) -> Evaluation:
-    """A point that grows, sought around one that does not; else that one."""
+    """Search for a point whose growths succeed around one where they fail.
+
+    If there is none, the given one is returned.
+    """
 
     def value(u: Float[np.ndarray, " p"]) -> float:
         if trail.evaluate(u, "derivative-free")[0].metrics is not None:
@@ -335,7 +341,7 @@ def _grown(trail: _Trail, at: Evaluation) -> Evaluation:
 
 
 def _without_derivatives(trail: _Trail) -> End:
-    """Nelder and Mead's simplex around the best point."""
+    """Run Nelder and Mead's simplex from the best point."""
     assert trail.best is not None
 
     def value(u: Float[np.ndarray, " p"]) -> float:
@@ -350,7 +356,7 @@ def _simplex(
     start: Float[np.ndarray, " p"],
     side: float,
 ) -> None:
-    """Nelder and Mead's method, until the simplex has shrunk."""
+    """Run Nelder and Mead's method, until the simplex has shrunk."""
     # towards the middle of the bounds, where there is more room
     sides = np.diag(np.where(start > 0, -side, side))
     minimize(

@@ -1,4 +1,4 @@
-"""What a fit is asked for: targets, the parameters it may change, and its effort.
+"""Specification of a fit: targets, fitted parameters and effort.
 
 As a TOML file:
 
@@ -41,7 +41,7 @@ _SEEDS = "whole numbers, for example [0, 1, 2]"
 
 
 class FitError(ValueError):
-    """A fit that cannot be made; its message is the sentence for the user."""
+    """Error of a fit that cannot be made; its message is for the user."""
 
 
 class _Model(pydantic.BaseModel):
@@ -54,7 +54,7 @@ class _Model(pydantic.BaseModel):
 
 
 class _Pair(_Model):
-    """A table that may be given as its first two entries."""
+    """Table that may be given as its first two entries."""
 
     wanted: ClassVar[str]
 
@@ -70,7 +70,7 @@ class _Pair(_Model):
 
 
 class Target(_Pair):
-    """What an expert says of a metric: value ± one standard deviation.
+    """Target of a metric: value ± one standard deviation.
 
     Attributes:
         value: in the metric's unit.
@@ -84,12 +84,12 @@ class Target(_Pair):
 
 
 class Bounds(_Pair):
-    """Between which values a parameter is sought.
+    """Bounds of a parameter.
 
     Attributes:
         low: lower bound; if positive, the parameter is sought on a logarithmic scale.
         high: upper bound.
-        start: where the search begins, between them; the scene's value if None.
+        start: start of the search, between them; the scene's value if None.
     """
 
     wanted: ClassVar[str] = "low and high, for example [0.01, 0.4]"
@@ -113,7 +113,7 @@ class Bounds(_Pair):
 
 
 class Effort(_Model):
-    """How much a fit may grow.
+    """Effort of a fit: its growths.
 
     Attributes:
         seeds: of the growths whose metrics are averaged, the same in every evaluation.
@@ -147,7 +147,7 @@ class Effort(_Model):
 
 
 class Task(_Model):
-    """All that decides a fit, but its scene.
+    """Task of a fit: all that decides it, except its scene.
 
     Attributes:
         targets: by the names of metrics.
@@ -181,22 +181,22 @@ class Task(_Model):
 
 
 def load_task(path: str | Path) -> Task:
-    """The task of a TOML file.
+    """Read a task from a TOML file.
 
     Raises:
-        FitError: the file cannot be read, is no TOML, or has a wrong entry; the message
-            names each with what is wanted.
+        FitError: the file cannot be read, is not TOML, or has a wrong entry; the
+            message names each with what is wanted.
     """
     entries = read_toml(Path(path), "targets file", FitError)
     return make_task(entries, source=str(path))
 
 
 def make_task(entries: dict[str, Any], *, source: str) -> Task:
-    """A task from nested entries as TOML has them.
+    """Build a task from nested entries, as TOML has them.
 
     Args:
         entries: keys as the fields of `Task`.
-        source: where they come from, for the message.
+        source: their origin, for the message.
 
     Raises:
         FitError: names every wrong entry with what is wanted.
@@ -212,12 +212,12 @@ def _all_known(given: Any, known: tuple[str, ...], example: str) -> Any:
 
 
 def _unlike(wanted: str) -> PydanticCustomError:
-    """That an entry has not the form that is wanted."""
+    """Build the error of an entry that does not have the wanted form."""
     return PydanticCustomError("form", "give {wanted}", {"wanted": wanted})
 
 
 def _in_python(given: Any) -> Any:
-    """Numbers and arrays of NumPy and JAX as Python has them."""
+    """Convert numbers and arrays of NumPy and JAX to Python's."""
     if hasattr(given, "tolist"):
         return given.tolist()
     if isinstance(given, tuple):

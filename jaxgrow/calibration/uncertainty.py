@@ -1,4 +1,4 @@
-r"""How well the targets determine the parameters, and why a target is not reached.
+r"""Uncertainty of the fitted parameters, and reasons for missed targets.
 
 In the unconstrained coordinates, with the Jacobian J of the residuals in units of their
 uncertainty, the posterior is taken to be normal around the fit (Laplace), with the
@@ -6,8 +6,8 @@ variance :math:`\pi^2/3` of a coordinate of which only the bounds are known:
 
 .. math:: C = \Big(J^T J + \frac{3}{\pi^2} I\Big)^{-1},
 
-with :math:`J^T J` less what the error of J over the seeds is expected to add to it, so
-that a parameter without effect is not taken for a determined one.
+with :math:`J^T J` less the expected contribution of the error of J over the seeds, so
+that a parameter without effect is not mistaken for a determined one.
 
 A mean over N seeds is uncertain as well. With the covariance S of the residuals over
 the seeds, as all evaluations together estimate them (`jaxgrow.calibration.loss`), it
@@ -31,14 +31,15 @@ from jaxgrow.calibration.spec import Task
 
 
 AT_BOUND = 3.5
-"""Coordinate beyond which a parameter is at its bound: 3 % of the way are left."""
+"""Coordinate beyond which a parameter is at its bound: less than 3 % of the way are
+left."""
 
 UNDETERMINED = 0.5
 """Share of its prior variance above which a parameter is not determined."""
 
 
 class Fitted(NamedTuple):
-    """A fitted parameter.
+    """Fitted parameter with its uncertainties.
 
     Attributes:
         value: of the least loss.
@@ -46,7 +47,7 @@ class Fitted(NamedTuple):
         high: one standard deviation more; never beyond the bounds.
         from_targets: standard deviation that comes from the targets' uncertainties.
         from_seeds: standard deviation that comes from the number of seeds; NaN for one.
-        determined: whether the targets say more of it than its bounds do.
+        determined: whether the targets constrain it more than its bounds do.
     """
 
     value: float
@@ -58,10 +59,10 @@ class Fitted(NamedTuple):
 
 
 class Achieved(NamedTuple):
-    """A target and what the fit makes of it.
+    """Target with the value that the fit achieves.
 
     Attributes:
-        target: the value asked for.
+        target: the wanted value.
         uncertainty: the expert's.
         achieved: mean of lesions with the fitted parameters, as the lesions of all
             evaluations estimate it.
@@ -88,9 +89,9 @@ class Achieved(NamedTuple):
 def fitted_parameters(
     coordinates: Coordinates, at: Evaluation, estimate: Estimate | None
 ) -> list[Fitted]:
-    """The parameters of a fit with their uncertainties.
+    """Compute the parameters of a fit with their uncertainties.
 
-    If nothing grew only the bounds are known.
+    If nothing grew, only the bounds constrain them.
     """
     number = len(at.u)
     precision = np.eye(number) / PRIOR_VARIANCE
@@ -123,7 +124,10 @@ def fitted_parameters(
 
 
 def achieved_targets(task: Task, found: Search) -> list[Achieved]:
-    """The targets with what the fit makes of them; empty if nothing grew."""
+    """Compare the targets with the values that the fit achieves.
+
+    The list is empty if nothing grew.
+    """
     metrics, estimate = found.best.metrics, found.estimate
     if metrics is None or estimate is None:
         return []
@@ -160,14 +164,14 @@ def achieved_targets(task: Task, found: Search) -> list[Achieved]:
 
 
 def _why(task: Task, found: Search, estimate: Estimate, index: int) -> str:
-    """What keeps a target from being reached, as far as the sensitivities tell."""
+    """Explain why a target is missed, as far as the sensitivities show."""
     if not np.any(estimate.jacobian):
         return f"there is no derivative; {_ended(found)}"
     residual = estimate.residual
     metrics, names = list(task.targets), list(task.parameters)
     u = found.best.u
     share = 1 / (1 + np.exp(-u))
-    # change over the whole way between the bounds, were it linear
+    # linear change over the whole way between the bounds
     whole = estimate.jacobian / (share * (1 - share))
     towards = -np.sign(residual[index]) * whole[index]
     within = np.abs(towards).sum()

@@ -45,7 +45,7 @@ _LOCATING = 0.25  # smoothing in r0 of where tip and neck are, in all versions
 
 
 class ShapeMetrics(eqx.Module):
-    r"""Shape metrics of a lesion, in units of their names.
+    r"""Shape metrics of a lesion, with their units in the names.
 
     Metrics that need a surface are NaN for a free cluster.
 
