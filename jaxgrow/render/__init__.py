@@ -1,7 +1,7 @@
-"""Still pictures of organs and growths, made without a display and without GL.
+"""Still pictures of organs and growths, made without a display and GL.
 
-Host code in plain numpy. Rays are cast with embreex where it is installed and by an own
-z-buffer where it is not; nothing heavy is imported before a picture is asked for.
+Host code in plain numpy. Rays are cast with embreex if it is installed, else by our
+z-buffer; nothing heavy is imported before a picture is drawn.
 """
 
 from jaxgrow.render.figure import render_growth as render_growth

@@ -1,4 +1,4 @@
-"""Words and rulers below pictures: scale bar, legend, caption."""
+"""Annotation of pictures: scale bar, legend, caption."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ def write_page(
     entries: list[Entry],
     caption: str | None,
 ) -> None:
-    """Put panels side by side on white, with words below, and write a PNG.
+    """Write panels side by side, with annotation below, as a PNG.
 
     Args:
-        path: The PNG file; it is whole or absent.
+        path: The PNG file, written atomically.
         panels: The pictures, all of one size.
         field: Width of the field that each of them shows, mm.
         entries: The last panel's legend.
@@ -51,7 +51,7 @@ def write_page(
 def _foot(
     width: int, side: int, field: float, entries: list[Entry], caption: str | None
 ) -> Any:
-    """Scale bar, legend and caption, drawn at twice the size and halved."""
+    """Draw scale bar, legend and caption, at twice the size, and halve it."""
     from PIL import Image, ImageDraw
 
     text = max(18, side // 18)
@@ -96,7 +96,7 @@ def _scale_bar(
 def _legend(
     draw: Any, entries: list[Entry], *, left: int, right: int, middle: int, text: int
 ) -> None:
-    """Write names beside their colours, smaller where the room asks for it."""
+    """Draw names beside their colours, smaller if space is short."""
     words = "".join(name for _, _, name in entries)
     room = right - left
     while (
@@ -117,7 +117,7 @@ def _legend(
 
 
 def round_length(length: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that is no longer."""
+    """Return the largest 1, 2 or 5 times a power of ten that is not longer."""
     power = 10.0 ** math.floor(math.log10(length))
     return max(step * power for step in (1, 2, 5) if step * power <= length * 1.0001)
 

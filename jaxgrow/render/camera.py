@@ -1,4 +1,4 @@
-"""An orthographic camera: a millimetre is equally long everywhere in the picture."""
+"""Orthographic camera: the same scale everywhere in the picture."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from jaxtyping import Float, Float32, Int
 
 @dataclass(frozen=True)
 class Camera:
-    """Parallel rays through a square field.
+    """Orthographic camera: parallel rays through a square field.
 
     Attributes:
-        centre: Point that lands in the middle of the picture, mm.
+        centre: Point in the middle of the picture, mm.
         right: Unit vector towards the right of the picture.
         up: Unit vector towards the top of the picture.
         width: Side of the square field, mm.
         pixels: Samples along one side.
-        reach: Distance in front of the centre at which the rays start, mm; what lies
-            nearer to the viewer is not seen. Zero cuts the scene through the centre.
+        reach: Distance in front of the centre at which the rays start, mm; objects
+            nearer to the viewer are not seen. Zero cuts the scene through the centre.
     """
 
     centre: Float[np.ndarray, "3"]
@@ -40,7 +40,7 @@ class Camera:
         return self.width / self.pixels
 
     def to_view(self, points: Float[np.ndarray, "*_ 3"]) -> Float[np.ndarray, "*_ 3"]:
-        """Column, row (in samples) and distance along the ray (mm) of points."""
+        """Compute column, row (in samples) and depth (mm) of points."""
         offset = points - self.centre
         column = (offset @ self.right) / self.pitch + self.pixels / 2
         row = self.pixels / 2 - (offset @ self.up) / self.pitch
@@ -49,7 +49,7 @@ class Camera:
     def points(
         self, at: Int[np.ndarray, " h"], distance: Float32[np.ndarray, " h"]
     ) -> Float32[np.ndarray, "h 3"]:
-        """Points on the rays of samples, relative to the centre, mm."""
+        """Return points on the rays of samples, relative to the centre, mm."""
         place = np.zeros((len(at), 3), np.float32)
         row, column = np.divmod(at, self.pixels)
         place[:, 0] = (column + 0.5) * self.pitch - self.width / 2
@@ -73,7 +73,7 @@ def look(
     Args:
         centre: Point in the middle of the picture, mm.
         forward: Direction in which to look, any length.
-        upward: Direction that shall point up in the picture, as far as it can.
+        upward: Direction that points up in the picture, as far as possible.
         width: Side of the square field, mm.
         pixels: Samples along one side.
         reach: Distance in front of the centre at which the rays start, mm.
@@ -91,12 +91,12 @@ def look(
 
 
 def unit(vector: Float[np.ndarray, "*_ 3"]) -> Float[np.ndarray, "*_ 3"]:
-    """Vectors of length one; a zero vector stays zero."""
+    """Normalise vectors to length 1; a zero vector stays zero."""
     length = np.linalg.norm(vector, axis=-1, keepdims=True)
     return vector / np.where(length > 0, length, 1)
 
 
 def perpendicular(direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """Some unit vector perpendicular to a direction, the same for the same input."""
+    """Return a unit vector perpendicular to a direction, deterministically."""
     axis = np.eye(3)[np.argmin(np.abs(direction))]
     return unit(axis - (axis @ direction) * direction / (direction @ direction))

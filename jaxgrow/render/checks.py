@@ -1,4 +1,4 @@
-"""What must hold of a picture's arguments, each said in one sentence."""
+"""Checks of a picture's arguments, with one sentence per fault."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 def check_size(size: int) -> None:
-    """Raise unless a panel of so many pixels can be drawn."""
+    """Raise unless a panel of this many pixels can be drawn."""
     if not 64 <= size <= 4096:
         raise ValueError(f"size is {size}; a panel has 64 to 4096 pixels a side.")
 

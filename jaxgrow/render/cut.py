@@ -1,4 +1,4 @@
-"""A scene cut through by the plane on which the camera's rays start."""
+"""Cut of a scene by the plane on which the camera's rays start."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jaxgrow.render.zbuffer import samples_of_boxes
 def cut_line(
     surface: Surface, camera: Camera
 ) -> tuple[Float[np.ndarray, "s 2 2"], Bool[np.ndarray, " s"]]:
-    """Where the plane cuts the surface.
+    """Compute the line in which the plane cuts the surface.
 
     A vertex that lies on the plane counts as behind it, so that every cut triangle
     has exactly two cut edges.
@@ -41,21 +41,21 @@ def cut_line(
 
 
 def behind_plane(balls: Balls, camera: Camera) -> Balls:
-    """The balls that reach behind the plane; those wholly in front are removed."""
+    """Select the balls that reach behind the plane."""
     return balls.part(camera.to_view(balls.centre)[:, 2] > -balls.radius)
 
 
 def cut_faces_of_balls(
     balls: Balls, camera: Camera
 ) -> tuple[Int[np.ndarray, " c"], Int[np.ndarray, " c"], Float[np.ndarray, " c"]]:
-    """The discs in which the plane cuts balls.
+    """Compute the discs in which the plane cuts balls.
 
     Where discs overlap each sample belongs to the ball with the nearest centre, which
-    draws the straight border that two pressed cells have.
+    gives the straight border of two pressed cells.
 
     Returns:
-        Samples covered by a disc, the ball that each belongs to, and how far inside
-        that ball's disc it is, in samples.
+        Samples covered by a disc, the ball that each belongs to, and its distance to
+        that disc's border, in samples.
     """
     view = camera.to_view(balls.centre)
     radius = balls.radius / camera.pitch
@@ -78,7 +78,7 @@ def cut_faces_of_balls(
 def stroke(
     segments: Float[np.ndarray, "s 2 2"], width: float, side: int
 ) -> Float32[np.ndarray, " p"]:
-    """Coverage of samples by segments of a width (samples) with round ends."""
+    """Compute samples' coverage by segments of a width, with round ends."""
     cover = np.zeros(side * side, np.float32)
     reach = width / 2 + 0.5
     low, size = _boxes(segments.min(axis=1) - reach, segments.max(axis=1) + reach, side)
@@ -96,7 +96,7 @@ def stroke(
 def _boxes(
     low: Float[np.ndarray, "n 2"], high: Float[np.ndarray, "n 2"], side: int
 ) -> tuple[Int[np.ndarray, "n 2"], Int[np.ndarray, "n 2"]]:
-    """First sample and number of samples of boxes, within the picture."""
+    """Return first sample and number of samples of boxes, within the picture."""
     first = np.clip(np.floor(low), 0, side).astype(int)
     last = np.clip(np.ceil(high), 0, side).astype(int)
     return first, np.maximum(last - first, 0)

@@ -1,4 +1,4 @@
-"""The picture of a growth: surface view and inner view side by side."""
+"""Picture of a growth: surface view and inner view side by side."""
 
 from __future__ import annotations
 
@@ -37,17 +37,17 @@ def render_growth(
     Left the surface view: the lesion on the organ's free surface. Walls that stand
     between it and the viewer are left out. Right the inner view: cut by the plane that
     contains the axis, the site, and the direction in which the lesion leans or is
-    widest. Particles before the plane are removed, those that it slices are drawn as
+    widest. Particles in front of the plane are removed, those that it cuts are drawn as
     flat discs, those behind it as spheres.
 
     Without an organ (``vertices``, ``faces``, ``label`` all None) the left panel shows
     all particles and the right one the cut cluster.
 
     Args:
-        path: The PNG file; it is whole or absent.
+        path: The PNG file, written atomically.
         vertices: The whole organ's vertices, mm.
-        faces: Its triangles, oriented alike. Either orientation will do: the side to
-            which ``axis`` points is the free one.
+        faces: Its triangles, oriented consistently, in either way: the side to which
+            ``axis`` points is the free one.
         label: 1 for vertices of the lesion, 0 for healthy ones.
         particles: Positions, mm; there may be none.
         species: 0 tissue, 1 tumour, further species beyond.
@@ -60,7 +60,7 @@ def render_growth(
         size: Side of a panel, pixels.
 
     Raises:
-        ValueError: An argument is not what it should be; the message says which.
+        ValueError: An argument is invalid; the message names it.
     """
     check_size(size)
     check_frame(site, axis, extent)
@@ -97,7 +97,7 @@ def _surface(
 
 
 def _entries(subject: Subject) -> list[tuple[str, tuple[int, int, int], str]]:
-    """The inner view's legend: what there is to see, nothing else."""
+    """Return the inner view's legend, for the objects that are visible."""
     entries = []
     for species in np.unique(subject.balls.species).tolist():
         known = species < len(_SPECIES_NAMES)

@@ -1,7 +1,7 @@
 """Ambient occlusion and soft shadow by a few short rays for each pixel.
 
 Every pixel of a 4 x 4 block casts other directions of one low-discrepancy set, and the
-block's mean is taken over neighbours that see the same thing ("interleaved sampling",
+block's mean is taken over neighbours that see the same object ("interleaved sampling",
 Keller and Heidrich 2001): smooth pictures from few rays, with no random numbers.
 """
 
@@ -25,15 +25,15 @@ def occlusion(
     *,
     reach: float,
 ) -> tuple[Float32[np.ndarray, " p"], Float32[np.ndarray, " p"]]:
-    """How open the sky and how visible the key light is at every sample.
+    """Compute the openness of the sky and of the key light at each sample.
 
     Args:
-        view: What the samples see.
+        view: The view of the samples.
         light: Unit vector towards the key light.
-        reach: How far an object may be to darken another, mm.
+        reach: Largest distance at which an object darkens another, mm.
 
     Returns:
-        Openness to the sky and to the light, both from 0 to 1; 1 throughout where the
+        Openness to the sky and to the light, both from 0 to 1; 1 throughout if the
         tracer cannot cast such rays.
     """
     side = view.camera.pixels
@@ -83,9 +83,9 @@ def _room(
     beam: Float32[np.ndarray, "h 3"],
     length: float,
 ) -> Float32[np.ndarray, " h"]:
-    """Lengths of rays that end where the camera's begin.
+    """Return the lengths of rays, cut off where the camera's rays begin.
 
-    What lies before that plane is cut away, so it throws no shadow either.
+    Objects in front of that plane are cut away, so they cast no shadow either.
     """
     approach = -(beam @ view.camera.forward.astype(np.float32))
     depth = view.hits.distance[at]
@@ -98,7 +98,7 @@ def _room(
 def _sky_beams(
     normal: Float32[np.ndarray, "h 3"], block: Int[np.ndarray, " h"]
 ) -> Iterator[Float32[np.ndarray, "h 3"]]:
-    """Directions around normals, one set for each place in a block."""
+    """Yield directions around normals, one set for each place in a block."""
     tangent, bitangent = _frame(normal)
     directions = _hemisphere(_BLOCK**2 * _RAYS)
     for ray in range(_RAYS):
@@ -109,14 +109,14 @@ def _sky_beams(
 def _light_beam(
     light: Float[np.ndarray, "3"], block: Int[np.ndarray, " h"]
 ) -> Float32[np.ndarray, "h 3"]:
-    """Directions to places on the disc of the key light."""
+    """Return directions to places on the disc of the key light."""
     disc = 0.22 * _hemisphere(_BLOCK**2)[block][:, :2]
     side, across = _frame(light[None].astype(np.float32))
     return light.astype(np.float32) + disc[:, :1] * side + disc[:, 1:] * across
 
 
 def _hemisphere(count: int) -> Float32[np.ndarray, "k 3"]:
-    """Directions with density cos θ, well spread: a Hammersley set on the disc."""
+    """Return directions with density cos θ: a Hammersley set on the disc."""
     index = np.arange(count)
     turn = np.zeros(count)
     for bit in range(16):
@@ -129,7 +129,7 @@ def _hemisphere(count: int) -> Float32[np.ndarray, "k 3"]:
 def _frame(
     normal: Float32[np.ndarray, "h 3"],
 ) -> tuple[Float32[np.ndarray, "h 3"], Float32[np.ndarray, "h 3"]]:
-    """Two unit vectors perpendicular to each normal (Duff et al. 2017)."""
+    """Return two unit vectors perpendicular to each normal (Duff et al. 2017)."""
     x, y, z = normal.T
     sign = np.copysign(np.float32(1), z)
     a = -1 / (sign + z)
@@ -144,7 +144,7 @@ def _block_mean(
     probe: Int[np.ndarray, "a a"],
     reach: float,
 ) -> Float32[np.ndarray, "2 a a"]:
-    """Mean over 4 x 4 neighbours that see the same thing at a similar distance."""
+    """Average over 4 x 4 neighbours with the same object at similar depth."""
     thing, distance = view.thing[probe], _finite(view.hits.distance[probe])
     total, weight = np.zeros_like(grid), np.zeros(probe.shape, np.float32)
     for down in range(-1, _BLOCK - 1):
@@ -160,7 +160,7 @@ def _block_mean(
 def _spread(
     level: Float32[np.ndarray, "a a"], view: View, reach: float
 ) -> Float32[np.ndarray, " p"]:
-    """Give traced samples the mean of the probes around that see the same thing."""
+    """Give traced samples the mean of nearby probes with the same object."""
     side, last = view.camera.pixels, len(level) - 1
     spread = np.ones(side * side, np.float32)
     for at in chunks(view.seeing(view.thing >= 0)):
@@ -188,7 +188,7 @@ def _finite(distance: Float32[np.ndarray, "..."]) -> Float32[np.ndarray, "..."]:
 def _overlap(
     side: int, down: int, across: int
 ) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Slices of a square and of the same square moved by some rows and columns."""
+    """Return slices of a square and of the same square shifted."""
 
     def cut(move: int) -> slice:
         return slice(max(move, 0), side + min(move, 0))

@@ -1,4 +1,4 @@
-"""A plain picture of a whole organ."""
+"""Picture of a whole organ."""
 
 from __future__ import annotations
 
@@ -40,20 +40,20 @@ def render_surface(
     """Write a PNG of a whole organ.
 
     Args:
-        path: The PNG file; it is whole or absent.
+        path: The PNG file, written atomically.
         vertices: The organ's vertices, mm.
         faces: Its triangles, normals outward.
         label: 1 for vertices of a lesion; None: all healthy.
         view: ``front`` (looking along y, z up), ``back``, ``left``, ``right``, ``top``,
             ``bottom``, or the direction in which to look.
-        inside: Take the near wall away, all but a glassy shell, and show the inner
-            surface behind it, where the lesions of a hollow organ are.
+        inside: Show the near wall as a transparent shell, and the inner surface behind
+            it, where the lesions of a hollow organ are.
         wireframe: Draw the triangles' edges.
         caption: A line under the picture.
         size: Side of the picture, pixels.
 
     Raises:
-        ValueError: The view is unknown, or the arrays are no mesh.
+        ValueError: The view is unknown, or the arrays are not a mesh.
     """
     check_size(size)
     label = np.zeros(len(vertices), np.int64) if label is None else np.asarray(label)
@@ -67,7 +67,7 @@ def render_surface(
 
 
 def _whole(surface: Surface, view: str | Float[np.ndarray, "3"], pixels: int) -> Camera:
-    """A camera that sees the whole surface."""
+    """Make a camera that sees the whole surface."""
     if isinstance(view, str):
         if view not in _VIEWS:
             raise ValueError(f"unknown view {view!r}; use one of {', '.join(_VIEWS)}.")
@@ -94,7 +94,7 @@ def _lit(surface: Surface, camera: Camera, line: float) -> Float32[np.ndarray, "
 
 
 def _shell(surface: Surface, camera: Camera, line: float) -> Float32[np.ndarray, "p 3"]:
-    """The far wall, behind a shell that is opaque only where it is seen edge-on."""
+    """Shade the far wall behind a shell that is opaque only edge-on."""
     near = surface.area_vectors @ camera.forward < 0
     light = _lit(surface.part(~near), camera, line)
     view = see(surface.part(near), _no_balls(), camera)
@@ -107,7 +107,7 @@ def _shell(surface: Surface, camera: Camera, line: float) -> Float32[np.ndarray,
 
 
 def _trimmed(panel: UInt8[np.ndarray, "a a 3"]) -> UInt8[np.ndarray, "b a 3"]:
-    """The picture without the white rows above and below, but for a margin."""
+    """Crop the white rows above and below a picture, except a margin."""
     inked = np.flatnonzero((panel < 255).any(axis=(1, 2)))
     margin = len(panel) // 40
     first, last = (inked[0], inked[-1]) if len(inked) else (0, len(panel))

@@ -1,4 +1,4 @@
-"""The two panels of a growth's picture: surface view and inner view."""
+"""Panels of a growth's picture: surface view and inner view."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LINE = float(EVERY)
 
 
 def surface_panel(subject: Subject, size: int) -> UInt8[np.ndarray, "a a 3"]:
-    """The lesion on the organ's free surface; a free cluster: all its particles."""
+    """Draw the lesion on the organ's free surface, or a free cluster."""
     camera = oblique_camera(subject, size * EVERY)
     surface = open_surface(subject.surface, camera, subject.lumen)
     balls = subject.balls.part(np.full(len(subject.balls.centre), subject.free))
@@ -32,7 +32,7 @@ def surface_panel(subject: Subject, size: int) -> UInt8[np.ndarray, "a a 3"]:
 
 
 def inner_panel(subject: Subject, size: int) -> UInt8[np.ndarray, "a a 3"]:
-    """The lesion cut through, with the particles in and behind the plane."""
+    """Draw the lesion cut open, with the particles in and behind the plane."""
     camera = cut_camera(subject, size * EVERY)
     balls = behind_plane(subject.balls, camera)
     view = see(subject.surface, balls, camera)
@@ -47,13 +47,13 @@ def inner_panel(subject: Subject, size: int) -> UInt8[np.ndarray, "a a 3"]:
 def lit(
     view: View, surface: Surface, balls: Balls, *, reach: float, line: float
 ) -> Float32[np.ndarray, "p 3"]:
-    """Shade what the traced samples see of surface and balls, on white.
+    """Shade the traced samples of surface and balls, on white.
 
     Args:
-        view: What is seen.
+        view: The view.
         surface: The mesh.
         balls: The particles.
-        reach: How far an object may be to darken another, mm.
+        reach: Largest distance at which an object darkens another, mm.
         line: Width of the mesh's edges in samples; 0 draws none.
     """
     light = np.ones((len(view.thing), 3), np.float32)
@@ -73,7 +73,7 @@ def lit(
 def _pale_walls(
     light: Float32[np.ndarray, "p 3"], view: View, subject: Subject
 ) -> None:
-    """Let the walls behind the cut step back, and tint the tissue between them."""
+    """Fade the walls behind the cut, and tint the tissue between them."""
     wall = view.thing == 0
     free = wall & (view.inward == (subject.lumen < 0))
     light[free] = 0.45 + 0.55 * light[free]
@@ -84,7 +84,7 @@ def _pale_walls(
 
 
 def _cut_balls(light: Float32[np.ndarray, "p 3"], balls: Balls, camera: Camera) -> None:
-    """Draw the discs in which the plane cuts balls, flat, with a thin dark border."""
+    """Draw the discs in which the plane cuts balls, with a thin dark border."""
     sample, owner, inside = cut_faces_of_balls(balls, camera)
     colour = shading.species_light(balls.species[owner])
     border = np.clip(1.1 * EVERY - inside, 0, 1)
@@ -95,7 +95,7 @@ def _cut_balls(light: Float32[np.ndarray, "p 3"], balls: Balls, camera: Camera) 
 def _between(
     sample: Int[np.ndarray, " c"], owner: Int[np.ndarray, " c"], side: int
 ) -> Float[np.ndarray, " c"]:
-    """1 where a disc's sample touches another disc's."""
+    """Mark the samples of a disc that touch another disc."""
     whose = np.full((side, side), -1)
     whose.ravel()[sample] = owner
     other = np.zeros((side, side), bool)

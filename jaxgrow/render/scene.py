@@ -1,4 +1,4 @@
-"""What is pictured: a labelled surface and balls."""
+"""Objects of a picture: a labelled surface and balls."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from jaxtyping import Bool, Float, Int, Integer
 from jaxgrow.render.camera import Camera, unit
 
 
-# Balls that are drawn finely, the nearest ones; the others are mostly hidden.
+# Number of nearest balls that are drawn finely; the others are mostly hidden.
 _FINE = 500
 
 
 @dataclass(frozen=True)
 class Surface:
-    """A labelled triangle mesh.
+    """Labelled triangle mesh.
 
     Attributes:
         vertices: Coordinates, mm.
@@ -48,7 +48,7 @@ class Surface:
         return np.asarray((self.label[self.faces] > 0.5).any(axis=1))
 
     def part(self, chosen: Bool[np.ndarray, " f"]) -> Surface:
-        """The same vertices with some of the triangles."""
+        """Return the same vertices with some of the triangles."""
         return Surface(self.vertices, self.faces[chosen], self.label, self.normal)
 
 
@@ -67,7 +67,7 @@ class Balls:
     radius: float
 
     def part(self, chosen: Bool[np.ndarray, " n"]) -> Balls:
-        """Some of the particles."""
+        """Return some of the particles."""
         return Balls(self.centre[chosen], self.species[chosen], self.radius)
 
 
@@ -76,7 +76,7 @@ def make_surface(
     faces: Integer[np.ndarray, "f 3"],
     label: np.ndarray,
 ) -> Surface:
-    """A surface with vertex normals (the mean of the triangles' normals by area)."""
+    """Make a surface with area-weighted vertex normals."""
     flat = Surface(
         np.asarray(vertices, np.float64),
         np.asarray(faces, np.int64),
@@ -92,7 +92,7 @@ def make_surface(
 def ball_triangles(
     balls: Balls, camera: Camera
 ) -> tuple[Float[np.ndarray, "t 3 3"], Int[np.ndarray, " t"]]:
-    """Triangles for the balls within a camera's field, and the ball of each."""
+    """Triangulate the balls within a camera's field, with the ball of each."""
     view = camera.to_view(balls.centre)
     margin = balls.radius / camera.pitch
     centred = np.abs(view[:, :2] - camera.pixels / 2).max(axis=1, initial=0)
@@ -110,7 +110,7 @@ def ball_triangles(
 
 
 def _octasphere(subdivisions: int) -> Float[np.ndarray, "f 3 3"]:
-    """Triangles of a sphere, by repeated subdivision of an octahedron.
+    """Triangulate a sphere by repeated subdivision of an octahedron.
 
     Its corners lie as far outside the unit sphere as the middles of its sides lie
     inside.

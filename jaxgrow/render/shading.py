@@ -1,4 +1,4 @@
-"""Colours and light: a key light from the upper left, a fill, a rim, an open sky."""
+"""Colours and light: key light, fill light, rim light and sky."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TISSUE_TINT = (250, 241, 235)
 CUT_HEALTHY = (96, 62, 56)
 CUT_LESION = (176, 0, 58)
 # Pale tissue and a dark, saturated tumour differ in lightness as much as in hue, so the
-# two species stay apart for colour-blind readers and in grey print. The others are
+# two species are distinct for colour-blind readers and in grey print. The others are
 # Okabe and Ito's.
 SPECIES = (
     (236, 219, 190),
@@ -28,14 +28,14 @@ SPECIES = (
 
 
 def linear(colour: tuple[int, int, int]) -> Float32[np.ndarray, "3"]:
-    """An sRGB colour as light."""
+    """Convert an sRGB colour to linear light."""
     return ((np.array(colour, np.float32) / 255) ** 2.2).astype(np.float32)
 
 
 def encode(
     light: Float32[np.ndarray, "p 3"], camera: Camera
 ) -> UInt8[np.ndarray, "a a 3"]:
-    """Mean over each pixel's samples, as an 8-bit sRGB picture."""
+    """Average each pixel's samples and encode them as 8-bit sRGB."""
     small = camera.pixels // EVERY
     pixel = np.clip(light, 0, 1).reshape(small, EVERY, small, EVERY, 3)
     mean = sum(pixel[:, i, :, j] for i, j in np.ndindex(EVERY, EVERY)) / EVERY**2
@@ -43,7 +43,7 @@ def encode(
 
 
 def key_light(camera: Camera) -> Float[np.ndarray, "3"]:
-    """Unit vector towards the key light."""
+    """Return the unit vector towards the key light, at the upper left."""
     return _towards(camera, -0.45, 0.62, 0.64)
 
 
@@ -63,12 +63,12 @@ def shade(
     *,
     gloss: float,
 ) -> Float32[np.ndarray, "h 3"]:
-    """Light that samples send to the viewer.
+    """Compute the light that samples send to the viewer.
 
     Args:
-        view: What is seen.
+        view: The view.
         albedo: Diffuse reflectance of the samples that are shaded.
-        at: Which samples these are.
+        at: The samples to shade.
         sky: Openness to the sky of all samples.
         key: Visibility of the key light of all samples.
         gloss: Strength of the highlight.
@@ -96,15 +96,15 @@ def _lit(
     half /= np.linalg.norm(half)
     upward = 0.5 + 0.5 * (normal @ camera.up.astype(np.float32))
     facing = np.clip(-(normal @ camera.forward.astype(np.float32)), 0, 1)
-    # Light wraps a little around the edge of shadow, as it does in wet, soft tissue.
+    # Light wraps slightly around the edge of shadow, as in wet, soft tissue.
     wrapped = np.clip((normal @ main + 0.2) / 1.2, 0, 1) * (0.35 + 0.65 * key)
     filled = np.clip(normal @ fill, 0, 1) * sky
     diffuse = 0.66 * wrapped + 0.16 * filled + sky * (0.26 + 0.12 * upward)
-    # Light that has bounced between neighbours has taken on their colour.
+    # Interreflected light takes on the colour of the neighbours.
     bounced = albedo * (0.10 * (1 - sky))[:, None] * albedo
     rim = 0.10 * (1 - facing) ** 3 * sky * upward
     shine = gloss * np.clip(normal @ half, 0, 1) ** 48 * key
-    # Less light means redder light: tissue lets red through from its surroundings.
+    # Dim light is redder: tissue transmits red light from its surroundings.
     warm = np.clip(diffuse, 0.05, 1)[:, None] ** np.array([0, 0.28, 0.3], np.float32)
     return albedo * warm * diffuse[:, None] + bounced + (rim + shine)[:, None]
 
@@ -116,10 +116,10 @@ def surface_albedo(
     *,
     line: float,
 ) -> Float32[np.ndarray, "h 3"]:
-    """Mucosa and lesion colours, blended by the label, with the mesh's edges.
+    """Return mucosa and lesion colours, blended by label, with mesh edges.
 
     Args:
-        view: What is seen.
+        view: The view.
         surface: The mesh.
         at: Samples that see it.
         line: Width of the edges in samples; 0 draws none.
@@ -139,7 +139,10 @@ def surface_albedo(
 
 
 def _heights(view: View, surface: Surface) -> Float32[np.ndarray, "f 3"]:
-    """Heights of the triangles in the picture, in samples, one over each side."""
+    """Compute the heights of the triangles in the picture, in samples.
+
+    There is one over each side.
+    """
     corner = view.camera.to_view(surface.vertices)[surface.faces][..., :2]
     side = np.roll(corner, -1, axis=1) - np.roll(corner, -2, axis=1)
     area = np.abs(side[:, 0, 0] * side[:, 1, 1] - side[:, 0, 1] * side[:, 1, 0])
@@ -153,35 +156,38 @@ def _edges(
     height: Float32[np.ndarray, "f 3"],
     line: float,
 ) -> Float32[np.ndarray, " h"]:
-    """1 on an edge, 0 away from it; fainter where triangles are tiny in the picture."""
+    """Return the ink of edges: 1 on an edge, 0 away from it.
+
+    It is fainter where triangles are tiny in the picture.
+    """
     u, v = view.hits.u[at], view.hits.v[at]
     tall = height[view.hits.face[at]]
     distance = np.minimum((1 - u - v) * tall[:, 0], u * tall[:, 1])
     distance = np.minimum(distance, v * tall[:, 2])
     faint = np.clip(tall.min(axis=1) / (5 * line), 0.15, 1)
-    # Within smooth patches a pixel has but one sample: blur the line over a pixel.
+    # Within smooth patches a pixel has only one sample: blur the line over a pixel.
     return faint * np.clip((line / 2 - distance) / EVERY + 0.5, 0, 1)
 
 
 def ball_albedo(
     view: View, balls: Balls, at: Int[np.ndarray, " h"]
 ) -> Float32[np.ndarray, "h 3"]:
-    """Colours of the balls that samples see."""
+    """Return the colours of the balls that samples see."""
     return species_light(balls.species[view.thing[at] - 1])
 
 
 def species_light(species: Int[np.ndarray, " h"]) -> Float32[np.ndarray, "h 3"]:
-    """Colours of species, as light."""
+    """Return the colours of species, as linear light."""
     palette = np.stack([linear(colour) for colour in SPECIES])
     return palette[_palette_index(species)]
 
 
 def species_colour(species: int) -> tuple[int, int, int]:
-    """The sRGB colour of a species."""
+    """Return the sRGB colour of a species."""
     return SPECIES[int(_palette_index(np.array([species]))[0])]
 
 
 def _palette_index(species: Int[np.ndarray, " h"]) -> Int[np.ndarray, " h"]:
-    """Beyond its end the palette starts again after the tumour."""
+    """Return the palette index of species; it repeats after the tumour."""
     beyond = 2 + (species - 2) % (len(SPECIES) - 2)
     return np.where(species < 2, species, beyond)

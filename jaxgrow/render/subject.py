@@ -1,4 +1,4 @@
-"""What a growth's picture shows, and from where it is looked at."""
+"""Subject of a growth's picture, and its cameras."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _SCOUT = 96
 
 @dataclass(frozen=True)
 class Subject:
-    """A lesion in its organ, or a free cluster.
+    """Lesion in its organ, or free cluster.
 
     Attributes:
         surface: The organ; without triangles for a free cluster.
         balls: The particles.
         site: Point where the lesion grew, mm.
-        axis: Unit vector in which it grew; up in the pictures.
+        axis: Unit vector of its growth direction; up in the pictures.
         middle: Centre of the lesion's box, mm.
         side: Unit vector perpendicular to the axis, from the lesion to the viewer of
             the inner view; the cut plane's normal.
@@ -94,10 +94,10 @@ def make_subject(
 
 
 def oblique_camera(subject: Subject, pixels: int) -> Camera:
-    """Look down at the lesion from the free side of the surface.
+    """Aim a camera down at the lesion from the free side of the surface.
 
     The view is taken from the cut's side, so that both panels show the same face of the
-    lesion, unless walls hide it there and another side shows a good deal more of it.
+    lesion, unless walls hide it there and another side shows much more of it.
     """
     sides = [subject.side]
     if not subject.free:
@@ -111,7 +111,7 @@ def oblique_camera(subject: Subject, pixels: int) -> Camera:
 
 
 def cut_camera(subject: Subject, pixels: int) -> Camera:
-    """Look straight at the cut; the rays start on the plane."""
+    """Aim a camera straight at the cut; its rays start on the plane."""
     before = (subject.middle - subject.site) @ subject.side
     centre = subject.middle - before * subject.side
     return look(
@@ -125,10 +125,10 @@ def cut_camera(subject: Subject, pixels: int) -> Camera:
 
 
 def open_surface(surface: Surface, camera: Camera, lumen: int) -> Surface:
-    """The surface without the walls that turn their tissue side to the camera.
+    """Remove the walls that turn their tissue side to the camera.
 
-    What stands between the viewer and the lumen is thereby left out. The lesion stays
-    whole: its far side throws shadows.
+    This removes all walls between the viewer and the lumen. The lesion stays whole: its
+    far side casts shadows.
     """
     facing = lumen * (surface.area_vectors @ camera.forward) < 0
     return surface.part(facing | surface.lesion_faces)
@@ -147,7 +147,7 @@ def _oblique(subject: Subject, side: Float[np.ndarray, "3"], pixels: int) -> Cam
 
 
 def _visible_lesion(subject: Subject, side: Float[np.ndarray, "3"]) -> float:
-    """Samples of a small picture that see the lesion."""
+    """Count the samples of a small picture that see the lesion."""
     camera = _oblique(subject, side, _SCOUT)
     surface = open_surface(subject.surface, camera, subject.lumen)
     none = subject.balls.part(np.zeros(len(subject.balls.centre), bool))
@@ -156,7 +156,7 @@ def _visible_lesion(subject: Subject, side: Float[np.ndarray, "3"]) -> float:
 
 
 def _turned_to_the_better_side(subject: Subject) -> Subject:
-    """Look at the cut from the side from which more of the lesion is seen."""
+    """Choose the side of the cut from which more of the lesion is seen."""
     if subject.free:
         return subject
     here = _visible_lesion(subject, subject.side)
@@ -169,7 +169,7 @@ def _turned_to_the_better_side(subject: Subject) -> Subject:
 def _lesion_points(
     surface: Surface, balls: Balls, site: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "k 3"]:
-    """Points that the picture must show: the lesion, or else the particles."""
+    """Return the points to frame: the lesion, or else the particles."""
     lesion = surface.vertices[surface.label > 0.5]
     if len(lesion):
         return lesion
@@ -180,7 +180,7 @@ def _lesion_points(
 def _widest(
     offset: Float[np.ndarray, "k 3"], axis: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "3"]:
-    """Direction across the axis in which offsets have their largest second moment."""
+    """Return the direction across the axis with the largest second moment."""
     first = perpendicular(axis)
     second = np.cross(axis, first)
     flat = offset @ np.stack([first, second], axis=1)
@@ -189,17 +189,17 @@ def _widest(
         return first
     x, y = direction[:, 1]
     across = x * first + y * second
-    # An eigenvector has no sign; the lesion shall lean to the right.
+    # An eigenvector has no sign; choose the one in which the lesion leans to the right.
     return across if (offset @ across).sum() >= 0 else -across
 
 
 def _free_side(
     surface: Surface, axis: Float[np.ndarray, "3"], site: Float[np.ndarray, "3"]
 ) -> int:
-    """+1 if normals point to where the axis points, -1 otherwise.
+    """Return +1 if normals point to where the axis points, else -1.
 
     A lesion bulges, overhangs and leans, but the sum of its area vectors is that of the
-    patch of healthy surface it has replaced.
+    patch of healthy surface that it replaced.
     """
     if len(surface.faces) == 0:
         return 1

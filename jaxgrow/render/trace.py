@@ -1,8 +1,8 @@
-"""Which triangle does a pixel see: ray casting with embreex, or a z-buffer.
+"""Ray casting with embreex, or with a z-buffer.
 
-Both ways answer the same question with the same data. Only embreex can also answer
-whether something blocks a short ray, which shadows and ambient occlusion need; without
-it pictures are lit plainly.
+Both find the triangle that a sample sees, with the same data. Only embreex can also
+test whether an object blocks a short ray, which shadows and ambient occlusion need;
+without it pictures have neither.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from jaxgrow.render.zbuffer import nearest_fragments, rasterise
 
 @dataclass(frozen=True)
 class Hits:
-    """What samples of a picture see.
+    """First hits of the samples of a picture.
 
     Attributes:
         face: Index of the triangle, -1 for none.
@@ -37,7 +37,7 @@ class Hits:
 
 
 class Tracer(ABC):
-    """Something that finds the first triangle along a ray.
+    """Tracer of the first triangle along a ray.
 
     Attributes:
         at_once: Whether all samples of a camera cost as much as a few of them.
@@ -47,7 +47,7 @@ class Tracer(ABC):
 
     @abstractmethod
     def first_hit(self, camera: Camera, at: Int[np.ndarray, " h"]) -> Hits:
-        """The first triangle behind samples of the camera."""
+        """Find the first triangle behind samples of the camera."""
 
     @abstractmethod
     def blocked(
@@ -56,9 +56,10 @@ class Tracer(ABC):
         direction: Float32[np.ndarray, "r 3"],
         length: Float32[np.ndarray, " r"],
     ) -> Bool[np.ndarray, " r"] | None:
-        """Whether rays of a length (mm) meet a triangle; None: cannot tell.
+        """Test whether rays of a length (mm) meet a triangle.
 
-        ``start`` is relative to the origin that the tracer was made with.
+        ``start`` is relative to the origin that the tracer was made with. The result is
+        None if the tracer cannot cast such rays.
         """
 
 
@@ -70,7 +71,8 @@ def make_tracer(
     Args:
         triangles: Corners, mm.
         origin: Point near the middle of the picture, mm. Rays are cast in single
-            precision relative to it, so that organs far from zero lose no digits.
+            precision relative to it, so that no digits are lost for organs far from
+            zero.
 
     Returns:
         The embreex tracer, or the z-buffer where embreex cannot be imported.
@@ -89,12 +91,12 @@ def make_tracer(
 
 @dataclass(frozen=True)
 class EmbreeTracer(Tracer):
-    """Ray casting through Embree's bounding volume hierarchy.
+    """Ray tracer by Embree's bounding volume hierarchy.
 
     Attributes:
         scene: The embreex scene.
         count: Number of triangles in it.
-        origin: What the scene's coordinates are relative to, mm.
+        origin: Origin of the scene's coordinates, mm.
     """
 
     scene: Any
@@ -104,7 +106,7 @@ class EmbreeTracer(Tracer):
     at_once = False
 
     def first_hit(self, camera: Camera, at: Int[np.ndarray, " h"]) -> Hits:
-        """The first triangle behind samples of the camera."""
+        """Find the first triangle behind samples of the camera."""
         if self.count == 0 or len(at) == 0:
             return no_hits(len(at))
         start = camera.points(at, np.zeros(len(at), np.float32))
@@ -121,7 +123,7 @@ class EmbreeTracer(Tracer):
         direction: Float32[np.ndarray, "r 3"],
         length: Float32[np.ndarray, " r"],
     ) -> Bool[np.ndarray, " r"] | None:
-        """Whether rays of a length (mm) meet a triangle."""
+        """Test whether rays of a length (mm) meet a triangle."""
         if self.count == 0 or len(start) == 0:
             return np.zeros(len(start), bool)
         return self.scene.run(start, direction, dists=length, query="OCCLUDED") == 0
@@ -129,7 +131,7 @@ class EmbreeTracer(Tracer):
 
 @dataclass(frozen=True)
 class ZBufferTracer(Tracer):
-    """Rasterisation: no shadows, no occlusion, but numpy is all that it needs.
+    """Rasteriser: no shadows, no occlusion, but needs numpy only.
 
     Attributes:
         triangles: Corners, mm.
@@ -140,7 +142,7 @@ class ZBufferTracer(Tracer):
     at_once = True
 
     def first_hit(self, camera: Camera, at: Int[np.ndarray, " h"]) -> Hits:
-        """The first triangle behind samples of the camera."""
+        """Find the first triangle behind samples of the camera."""
         fragments = rasterise(camera.to_view(self.triangles), camera.pixels)
         nothing = no_hits(camera.pixels**2)
         buffers = (nothing.face, nothing.u, nothing.v, nothing.distance)
@@ -153,13 +155,13 @@ class ZBufferTracer(Tracer):
         direction: Float32[np.ndarray, "r 3"],
         length: Float32[np.ndarray, " r"],
     ) -> Bool[np.ndarray, " r"] | None:
-        """None: a z-buffer only knows what the camera sees."""
+        """Return None: a z-buffer only has what the camera sees."""
         del start, direction, length
         return None
 
 
 def no_hits(samples: int) -> Hits:
-    """A picture in which no sample sees anything."""
+    """Return the hits of a picture in which no sample sees anything."""
     zero = np.zeros(samples, np.float32)
     return Hits(
         np.full(samples, -1, np.int32),

@@ -1,4 +1,4 @@
-"""What a camera sees of a scene: the thing, the depth and the normal at each sample."""
+"""View of a scene: object, depth and normal at each sample."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ _CHUNK = 1 << 16
 
 @dataclass(frozen=True)
 class View:
-    """What the samples of a picture see, row by row.
+    """View of the samples of a picture, row by row.
 
     Attributes:
-        camera: Where it is seen from.
+        camera: The camera.
         tracer: Casts further rays into the same scene.
         hits: Triangles and distances; triangles of balls follow those of the surface.
         thing: -1 nothing, 0 the surface, 1 + k ball k.
         normal: Unit normal that faces the viewer.
         inward: Whether the surface's normal points away from the viewer.
-        traced: Which samples were looked at. Of a pixel within one smooth patch only
-            the first is, and stands for the others.
+        traced: Which samples were traced. In a pixel within one smooth patch only the
+            first is, and represents the others.
     """
 
     camera: Camera
@@ -43,15 +43,15 @@ class View:
     traced: Bool[np.ndarray, " p"]
 
     def seeing(self, thing: Bool[np.ndarray, " p"]) -> Int[np.ndarray, " h"]:
-        """The traced samples among some."""
+        """Return the traced samples among some."""
         return np.flatnonzero(thing & self.traced)
 
     def points(self, at: Int[np.ndarray, " h"]) -> Float32[np.ndarray, "h 3"]:
-        """Points that samples see, relative to the camera's centre, mm."""
+        """Return the points that samples see, relative to the camera's centre, mm."""
         return self.camera.points(at, self.hits.distance[at])
 
     def spread(self, light: Float32[np.ndarray, "p 3"]) -> None:
-        """Give the samples that were not traced their pixel's first sample's light."""
+        """Copy the light of a pixel's first sample to its untraced samples."""
         small = self.camera.pixels // EVERY
         pixel = light.reshape(small, EVERY, small, EVERY, 3)
         traced = self.traced.reshape(small, EVERY, small, EVERY)
@@ -61,15 +61,15 @@ class View:
 
 
 def see(surface: Surface, balls: Balls, camera: Camera) -> View:
-    """Find what the samples of a camera see.
+    """Trace the samples of a camera.
 
     One sample of each pixel is traced first, and the others only where neighbouring
-    pixels see different things: at silhouettes, where steps would show.
+    pixels see different objects: at silhouettes, where steps would show.
 
     Args:
         surface: The mesh; it may have no triangles.
         balls: The particles; there may be none.
-        camera: Where to look from. What lies before its rays' starts is not seen.
+        camera: The camera. Objects in front of its rays' starts are not seen.
     """
     triangles, owner = ball_triangles(balls, camera)
     triangles = np.concatenate([surface.vertices[surface.faces], triangles])
@@ -109,12 +109,12 @@ def _trace(
     things: Int[np.ndarray, " t"],
     away: Bool[np.ndarray, " t"],
 ) -> None:
-    """Look at samples, and note in the view what they see.
+    """Trace samples and store their hits in the view.
 
     Args:
         view: The view, changed in place.
         at: The samples.
-        things: What each triangle belongs to.
+        things: The object of each triangle.
         away: Which of the surface's triangles turn their back to the viewer.
     """
     found = view.tracer.first_hit(view.camera, at)
@@ -127,7 +127,7 @@ def _trace(
 
 
 def _silhouettes(view: View) -> Bool[np.ndarray, "a a"]:
-    """Pixels with a neighbour that sees another thing, side, or depth."""
+    """Mark the pixels with a neighbour of other object, side, or depth."""
     side = view.camera.pixels
     thing, inward, distance = (
         values.reshape(side, side)[::EVERY, ::EVERY]
@@ -168,14 +168,14 @@ def _ball_normals(view: View, balls: Balls) -> None:
 
 
 def chunks(at: Int[np.ndarray, " h"]) -> Iterator[Int[np.ndarray, " k"]]:
-    """Parts of a list of samples, small enough to stay in the processor's cache."""
+    """Split a list of samples into parts that fit into the CPU's cache."""
     return (at[start : start + _CHUNK] for start in range(0, len(at), _CHUNK))
 
 
 def interpolate(
     hits: Hits, at: Int[np.ndarray, " h"], corner: Float32[np.ndarray, "f 3 *c"]
 ) -> Float32[np.ndarray, "h *c"]:
-    """Values at hit points from values at the triangles' corners."""
+    """Interpolate values at hit points from the triangles' corners."""
     shape = (-1,) + (1,) * (corner.ndim - 2)
     face = hits.face[at]
     u, v = hits.u[at].reshape(shape), hits.v[at].reshape(shape)

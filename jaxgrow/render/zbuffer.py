@@ -1,4 +1,4 @@
-"""Rasterisation of triangles in numpy: fragments, and the nearest of each pixel."""
+"""Rasterisation of triangles in numpy: fragments, and nearest per sample."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int
 
 
-# Fragments held at a time: about 200 MB.
+# Fragments in memory at a time: about 200 MB.
 _CHUNK = 2_000_000
 
 Fragments = tuple[
@@ -27,7 +27,7 @@ Buffers = tuple[
 
 
 def rasterise(view: Float[np.ndarray, "f 3 3"], pixels: int) -> Iterator[Fragments]:
-    """Cut triangles into fragments, one for each sample that they cover.
+    """Rasterise triangles into fragments, one for each sample they cover.
 
     Args:
         view: Corners as column, row (in samples) and distance from the viewer.
@@ -50,7 +50,7 @@ def rasterise(view: Float[np.ndarray, "f 3 3"], pixels: int) -> Iterator[Fragmen
 
 
 def nearest_fragments(fragments: Iterator[Fragments], buffers: Buffers) -> Buffers:
-    """Keep the nearest fragment of every sample.
+    """Keep the nearest fragment of every sample (depth test).
 
     Args:
         fragments: Chunks as from `rasterise`.
@@ -76,7 +76,7 @@ def nearest_fragments(fragments: Iterator[Fragments], buffers: Buffers) -> Buffe
 def samples_of_boxes(
     low: Int[np.ndarray, "n 2"], size: Int[np.ndarray, "n 2"]
 ) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
-    """The box, column and row of every sample in every box.
+    """List the box, column and row of every sample in every box.
 
     Args:
         low: First column and row of each box.
@@ -97,7 +97,7 @@ def _fragments(
     size: np.ndarray,
     pixels: int,
 ) -> Fragments:
-    """The fragments of the chosen triangles, from their bounding boxes."""
+    """Compute the fragments of the chosen triangles, from their boxes."""
     owner, column, row = samples_of_boxes(low, size)
     corner = view[chosen]
     edge_1, edge_2 = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
