@@ -26,7 +26,7 @@ PRIOR_VARIANCE = math.pi**2 / 3
 
 
 class Coordinates(eqx.Module):
-    """Map between unconstrained coordinates and parameters, in 64 bits.
+    """Bijection of unconstrained coordinates and parameters, in 64 bits.
 
     Attributes:
         low: lower bounds.

@@ -140,7 +140,7 @@ class LesionGrower:
 
 
 class Growths:
-    """Store of all growths of a fit, each made once.
+    """Collection of all growths of a fit, each made once.
 
     With a file, it is rewritten after every growth and read at the start. A fit
     requests its growths in an order that depends on their numbers alone, and JSON keeps

@@ -63,7 +63,7 @@ class Evaluation(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """Estimate of residuals and sensitivities at a point, by all evaluations.
+    """Residuals and sensitivities at a point, estimated by all evaluations.
 
     Attributes:
         residuals: (metric - target) / uncertainty, for every seed.
@@ -160,7 +160,7 @@ class Loss:
         )
 
     def __call__(self, u: Float[np.ndarray, " p"]) -> Evaluation:
-        """Grow every seed; the first growth that fails ends it, with infinite loss."""
+        """Grow every seed; the first failed growth makes the loss infinite."""
         values = tuple(self.coordinates.parameters(jnp.asarray(u)).tolist())
         metrics = list[Sequence[float]]()
         for seed in self._seeds:

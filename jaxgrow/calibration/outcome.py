@@ -33,7 +33,7 @@ class Outcome(enum.Enum):
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Fit of parameters, whether it reached its targets or not.
+    """Result of a fit, whether it reached its targets or not.
 
     Attributes:
         scene: with the fitted parameters.

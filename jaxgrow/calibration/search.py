@@ -118,11 +118,11 @@ class Search(NamedTuple):
     history: tuple[Tried, ...]
 
 
-class _Exhausted(Exception):  # noqa: N818  (it ends a search, it is no error)
+class _Exhausted(Exception):  # noqa: N818  (ends a search, not an error)
     pass
 
 
-class _Grown(Exception):  # noqa: N818  (it ends a simplex, it is no error)
+class _Grown(Exception):  # noqa: N818  (ends a simplex, not an error)
     pass
 
 

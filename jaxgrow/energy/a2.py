@@ -1,4 +1,4 @@
-r"""The A2 force profile, which all particle interactions of the model share.
+r"""A2 force profile, shared by all particle interactions of the model.
 
 In the distance :math:`u = r/r_0` the paper (§3, function A2) prints
 
@@ -23,8 +23,8 @@ cluster that is relaxed after every division collapses into itself.
 *smoothing* :math:`\epsilon` removes the two jumps of the force. Over
 :math:`1/2 \pm \epsilon` the two printed branches are blended with a weight that is
 linear in u; over :math:`[3/2 - \epsilon, 3/2]` the force is tapered linearly to 0.
-Without it equilibria are not smooth: pairs come to rest exactly on the kink of the
-energy at u = 1/2. :math:`\epsilon = 0` is the printed law, to the last digit.
+Without it equilibria are not smooth: pairs settle exactly on the kink of the energy at
+u = 1/2. :math:`\epsilon = 0` is the printed law, to the last digit.
 """
 
 import equinox as eqx
@@ -65,7 +65,7 @@ class A2(eqx.Module):
     smoothing: Scalar = 0.0
 
     def force(self, u: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-        """Return the force in units of F(0) at distance u (in r0); positive repels."""
+        """Return the force at distance u (in r0), in F(0); positive repels."""
         width, some = _width(u, self.smoothing)
         near = 1 - u**2
         far = (1 - u) * (2 - u) / 2

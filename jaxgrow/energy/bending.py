@@ -81,7 +81,7 @@ class Bending(MembraneTerm):
 
 
 def hinge_angle(x: tuple[Columns, ...]) -> Array:
-    """Return the angle between the normals of two triangles at their common edge.
+    """Return the angle between the normals of two triangles at their edge.
 
     Args:
         x: ends of the edge, the corner of the triangle that lies to the left of it

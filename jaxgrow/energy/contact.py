@@ -1,8 +1,8 @@
-r"""Energy of the contact between particles and membrane (paper §4, "Adapt surface").
+r"""Energy of the contact between particles and membrane (paper §4).
 
-All particles act on the surface by their exact distance to it, "not just to the
-particles on the surface". With :math:`u_i = d_i / r_s`, the distance of particle i in
-contact ranges,
+In "Adapt surface" all particles act on the surface by their exact distance to it, "not
+just to the particles on the surface". With :math:`u_i = d_i / r_s`, the distance of
+particle i in contact ranges,
 
 .. math::
     E = \sum_i r_s \left( c\, U_{\alpha_c}(u_i) + \kappa\, b(u_i) \right), \qquad

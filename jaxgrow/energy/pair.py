@@ -148,7 +148,7 @@ def _pair_energy_jvp(
     primals: tuple[Particles, Array, Parameters],
     tangents: tuple[Particles, Array, Parameters],
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """In positions minus the force, which gathers instead of scatters."""
+    """Apply the JVP rule: minus the force in positions, which gathers."""
     particles, listed, parameters = primals
     moved, _, varied = tangents
     _, length, one, other = _columns(particles, listed)

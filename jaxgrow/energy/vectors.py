@@ -37,7 +37,7 @@ def cross(a: Columns, b: Columns) -> Columns:
 
 
 def norm(a: Columns) -> Float[Array, "*p"]:
-    """Return the Euclidean length, with derivative 0 (not NaN) at the null vector."""
+    """Return the Euclidean norm, with derivative 0 (not NaN) at length 0."""
     return safe_root(dot(a, a))
 
 

@@ -1,4 +1,4 @@
-r"""The paper's relaxation (its eq. 1) in serial order, for particles alone.
+r"""Gauss-Seidel relaxation by the paper's eq. 1, for particles alone.
 
 Every particle in its turn moves by :math:`\frac{h^2}{m} F`, and those after it use its
 new position (Gauss and Seidel). "For small changes [...] the convergence is faster

@@ -1,7 +1,8 @@
-"""Limited-memory BFGS on forces alone (Nocedal and Wright 2006, algorithm 7.4).
+"""Limited-memory BFGS on forces alone (Nocedal and Wright 2006).
 
-No line search and no energy: near an equilibrium energies differ by less than their
-rounding while forces are still exact, so a search on the energy stalls early.
+Their algorithm 7.4, without line search and energy: near an equilibrium energies differ
+by less than their rounding while forces are still exact, so a search on the energy
+stalls early.
 """
 
 import equinox as eqx

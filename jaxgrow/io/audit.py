@@ -1,4 +1,4 @@
-"""Exact check of a growth on the host, independent of the simulation's distances."""
+"""Exact audit of a growth, independent of the simulation's distances."""
 
 from dataclasses import asdict, dataclass
 from typing import Any, TYPE_CHECKING

@@ -1,7 +1,8 @@
-"""Edge collapse (paper section 4, "Surface fairing"; Quicken et al. for the valences).
+"""Edge collapse (paper section 4; Quicken et al. for the valences).
 
-Small triangles are removed by collapsing their shortest edge, conservatively: only if
-its two ends and their common neighbours all have valences larger than three.
+In "Surface fairing" small triangles are removed by collapsing their shortest edge,
+conservatively: only if its two ends and their common neighbours all have valences
+larger than three.
 
 What the paper leaves open, and our choice:
 

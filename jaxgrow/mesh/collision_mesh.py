@@ -44,7 +44,7 @@ class Walls:
 
     @cached_property
     def _bounds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Bounds of each face: corners of its box, centre and radius of its sphere.
+        """Bounds of each face: corners of its box, centre and radius of a sphere.
 
         Computed once, as walls do not move.
         """

@@ -1,4 +1,4 @@
-"""Surface fairing (paper section 4): subdivide, swap, collapse; and repair."""
+"""Surface fairing (paper section 4): subdivide, swap, collapse, repair."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ from jaxgrow.mesh.topology import build_topology, Topology
 def subdivide(
     surface: Surface, max_area: float, max_edge: float = np.inf
 ) -> tuple[Surface, Remeshing]:
-    """Split the triangles over the area bound once, and close their neighbours.
+    """Split the triangles over the area bound once, and close neighbours.
 
     Every triangle over the bound is cut into parts of at most half its area, as long
     as one of its edges is not on the rim.

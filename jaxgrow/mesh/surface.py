@@ -64,7 +64,7 @@ class Surface:
 
     @property
     def kept(self) -> Bool[np.ndarray, " m"]:
-        """Vertices that may neither vanish nor move: the fixed ones and the source."""
+        """Vertices that may neither vanish nor move: fixed ones and the source."""
         kept = self.fixed.copy()
         if self.source >= 0:
             kept[self.source] = True

@@ -46,8 +46,8 @@ _SKIN_OF_PART = 0.35
 FEW = 4096
 
 _STRAYS, _STRAYS_OF_FEW = 32, 8
-"""Particles, of many and of few, that are relisted one by one; if more moved far, the
-whole list is rebuilt."""
+"""Largest numbers of particles, for many and for few in all, that are relisted one by
+one; if more moved far, the whole list is rebuilt."""
 
 _LEAST_OCCUPANCY = 32
 _OCCUPANCY_STEP = 8

@@ -70,7 +70,7 @@ def locate_site(organ: Organ, site: str | tuple[float, float, float]) -> Site:
         organ: The organ.
         site: A name in ``organ.sites``, or coordinates in mm, as three numbers or as
             the text ``X,Y,Z``. Coordinates are moved to the nearest point of the
-            surface if that is no further than ``REACH_MM``.
+            surface if that is at most ``REACH_MM`` away.
 
     Returns:
         The site.

@@ -1,7 +1,7 @@
 """Refusal to compute in forked processes.
 
 XLA computes on threads, and a fork copies none of them: the first program of a child
-whose parent had computed would wait for ever.
+whose parent had computed would never end.
 """
 
 import os
