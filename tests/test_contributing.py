@@ -9,7 +9,7 @@ GUIDE = Path(__file__).parents[1] / "CONTRIBUTING.md"
 
 def test_recipe_for_an_energy_term_runs_as_it_is_written():
     blocks = re.findall(r"^```python\n(.*?)^```", GUIDE.read_text(), re.M | re.S)
-    assert len(blocks) == 3
+    assert len(blocks) == 4
     exec(compile("\n".join(blocks), str(GUIDE), "exec"), {"__name__": "guide"})
 
 

@@ -12,7 +12,7 @@ import jaxgrow
 
 PACKAGE = Path(jaxgrow.__file__).parent
 LONGEST = 72
-PENDING = ("cli", "growth", "kernels", "scene")
+PENDING = ("kernels",)
 """Folders whose docstrings are not converted yet; the list is to become empty."""
 
 IMPERATIVES = """
