@@ -45,7 +45,7 @@ STEPS = (1e-6, 1e-7, 1e-5)
 """Relative steps of differences: larger ones cross kinks of the energy, smaller ones
 show rounding. One is enough if it agrees to `AGREES`; else the best of them counts."""
 
-AGREES = 1e-5
+AGREES = 5e-6
 
 MATTERS = 1e-3
 """Share of a metric's largest slope (per relative change of a parameter) below which

@@ -7,7 +7,7 @@ keeps what it chose; `Recorded` repeats what was kept.
 
 import copy
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -35,6 +35,7 @@ ENLARGEMENTS = 5
 """How often the patch follows a force on its border, or a tumour that comes near it."""
 
 
+@runtime_checkable
 class Choices(Protocol):
     """Who decides in a growth."""
 

@@ -89,8 +89,8 @@ def grow(
         events: of a growth to replay; then seed and bounds do not matter. Record it at
             `tolerance=1e-10` if you replay it with other parameters.
         terms: energies besides those of jaxgrow, see `jaxgrow.relax`.
-        after: a growth that goes on, with the same bits as if it had not ended; `scene`
-            may ask for another size or number of divisions, if its particles have the
+        after: a growth that goes on, with the same bits as if it had not ended (to the
+            tolerance, if it comes from another process); `scene` may ask for another size or number of divisions, if its particles have the
             same size. Seed, parameters, tolerance and terms are those that it began
             with.
 

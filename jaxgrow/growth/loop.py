@@ -72,16 +72,17 @@ def run_loop(
         watch: is shown every step, and may end the growth.
     """
     size = measure(setup, reached.now, clock)
+    choices.mark()
     try:
         while reached.result is Result.CONVERGED:
             forget_now_and_then(len(reached.history))
-            choices.mark()
             made = (reached.divisions, reached.history)
             stopping = Stopping(size, *made, bounds, clock.elapsed)
             result = choices.stop(setup, stopping)
             if result is not Result.CONVERGED:
                 return replace(reached, result=result)
             after, record = _next(setup, reached, choices, bounds, clock)
+            choices.mark()
             reached = after
             if record is None:
                 return reached

@@ -1,6 +1,7 @@
 """What a growth is made with, and where it stands between two divisions."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Int
@@ -66,6 +67,10 @@ class GrowthState:
     colliding: bool = False
     border: BoundaryReaction | None = None
     least_quality: float = LEAST_QUALITY
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what goes to another process: lists are made again there."""
+        return {**self.__dict__, "lists": None}
 
     @property
     def walls(self) -> Walls | None:

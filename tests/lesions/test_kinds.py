@@ -73,9 +73,8 @@ def test_class_without_a_name_or_a_rule_is_no_kind(kinds):
     class Ruleless(jg.Lesion):
         kind: Literal["ruleless"] = "ruleless"
 
-    for wrong, message in [(Nameless, "Literal"), (dict, "no kind of lesion")]:
-        with pytest.raises(TypeError, match=message):
-            jg.register_lesion(wrong)
+    with pytest.raises(TypeError, match="Literal"):
+        jg.register_lesion(Nameless)
     with pytest.raises(TypeError, match="no choose, no divide"):
         jg.register_lesion(Ruleless)
     assert set(module.LESIONS) == {"polyp", "myoma"}
