@@ -6,7 +6,7 @@ import sys
 from rich.console import Console
 from rich.table import Table
 
-from jaxgrow.calibration.evaluations import Measured
+from jaxgrow.calibration.evaluations import Evaluation
 from jaxgrow.calibration.outcome import Fit
 from jaxgrow.calibration.search import End, Tried
 
@@ -20,7 +20,7 @@ def say_tried(tried: Tried) -> None:
     print(line, file=sys.stderr, flush=True)  # noqa: T201  (the command's progress)
 
 
-def say_grown(measured: Measured) -> None:
+def say_grown(measured: Evaluation) -> None:
     """Print one line for a growth on standard error."""
     line = f"  seed {measured.seed}: {measured.result}"
     print(line, file=sys.stderr, flush=True)  # noqa: T201  (the command's own output)

@@ -30,7 +30,7 @@ Values = tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class Measured:
+class Evaluation:
     """Record of one growth.
 
     Attributes:
@@ -58,7 +58,7 @@ class Measured:
 class Grower(Protocol):
     """Source of growths; tests substitute another one."""
 
-    def measure(self, seed: int, values: Values) -> Measured:
+    def measure(self, seed: int, values: Values) -> Evaluation:
         """Grow a lesion and return its metrics."""
         ...
 
@@ -85,7 +85,7 @@ class LesionGrower:
         self._base = jax.tree.map(lambda p: jnp.asarray(p, float), scene.parameters)
         self._events: dict[tuple[int, Values], Events] = {}
 
-    def measure(self, seed: int, values: Values) -> Measured:
+    def measure(self, seed: int, values: Values) -> Evaluation:
         """Grow a lesion and return its metrics."""
         growth = self._grow(seed, self._parameters(jnp.asarray(values)))
         if any(other != values for _, other in self._events):
@@ -96,7 +96,7 @@ class LesionGrower:
         if result is Result.REACHED and not np.isfinite(metrics).all():
             result = Result.NON_FINITE
         kept = tuple(metrics.tolist()) if result is Result.REACHED else ()
-        return Measured(seed, values, result.name, kept)
+        return Evaluation(seed, values, result.name, kept)
 
     def slopes(self, seed: int, values: Values) -> tuple[tuple[float, ...], ...]:
         """Return the derivatives of the metrics; empty if they do not exist."""
@@ -162,22 +162,22 @@ class Growths:
         grower: Grower,
         request: dict[str, Any],
         file: Path | None = None,
-        grown: Callable[[Measured], None] | None = None,
+        grown: Callable[[Evaluation], None] | None = None,
     ) -> None:
         self._grower, self._request, self._file = grower, request, file
         self._grown = grown
-        self._known: dict[tuple[int, Values], Measured] = {}
+        self._known: dict[tuple[int, Values], Evaluation] = {}
         if file is not None and file.exists():
             for entry in read_fit(file, request)["growths"]:
                 known = _measured(entry)
                 self._known[known.seed, known.values] = known
 
     @property
-    def all(self) -> Sequence[Measured]:
+    def all(self) -> Sequence[Evaluation]:
         """All stored growths, in the order in which they were made."""
         return tuple(self._known.values())
 
-    def measure(self, seed: int, values: Values) -> Measured:
+    def measure(self, seed: int, values: Values) -> Evaluation:
         """Return the metrics of a growth, growing it if it is not stored."""
         if (seed, values) not in self._known:
             measured = self._grower.measure(seed, values)
@@ -209,7 +209,7 @@ class Growths:
         self._file.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(self._file, lambda file: file.write(text.encode()))
 
-    def _keep(self, known: Measured) -> None:
+    def _keep(self, known: Evaluation) -> None:
         self._known[known.seed, known.values] = known
         self.write()
 
@@ -303,9 +303,9 @@ def _check_versions(
         )
 
 
-def _measured(entry: dict[str, Any]) -> Measured:
+def _measured(entry: dict[str, Any]) -> Evaluation:
     slopes = entry["slopes"]
-    return Measured(
+    return Evaluation(
         entry["seed"],
         tuple(entry["values"]),
         entry["result"],

@@ -13,7 +13,7 @@ import optax
 from jaxtyping import Float
 
 from jaxgrow.calibration.coordinates import Coordinates
-from jaxgrow.calibration.evaluations import Grower, Growths, LesionGrower, Measured
+from jaxgrow.calibration.evaluations import Evaluation, Grower, Growths, LesionGrower
 from jaxgrow.calibration.folder import check_folder, FILE, write_folder
 from jaxgrow.calibration.loss import Loss
 from jaxgrow.calibration.outcome import Fit, Outcome
@@ -33,7 +33,7 @@ def fit(
     folder: str | Path | None = None,
     optimiser: optax.GradientTransformation | None = None,
     progress: Callable[[Tried], None] | None = None,
-    grown: Callable[[Measured], None] | None = None,
+    grown: Callable[[Evaluation], None] | None = None,
     grower: Grower | None = None,
     **effort: Any,
 ) -> Fit:

@@ -4,7 +4,7 @@ import enum
 from dataclasses import dataclass
 from typing import Any
 
-from jaxgrow.calibration.evaluations import Measured
+from jaxgrow.calibration.evaluations import Evaluation
 from jaxgrow.calibration.search import End, Tried
 from jaxgrow.calibration.spec import Task
 from jaxgrow.calibration.uncertainty import Achieved, Fitted
@@ -56,7 +56,7 @@ class Fit:
     parameters: dict[str, Fitted]
     targets: dict[str, Achieved]
     history: tuple[Tried, ...]
-    growths: tuple[Measured, ...]
+    growths: tuple[Evaluation, ...]
 
     @property
     def failures(self) -> tuple[str, ...]:

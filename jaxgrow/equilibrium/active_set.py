@@ -21,7 +21,7 @@ from jaxgrow.equilibrium.force_cache import evaluated, renewed
 from jaxgrow.equilibrium.lbfgs import LBFGS
 from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.loops import with_loops
-from jaxgrow.equilibrium.methods import Found, Limits, run_stage, Stage
+from jaxgrow.equilibrium.methods import Limits, MethodResult, run_stage, Stage
 from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.refresh_lists import (
     allocate_contacts,
@@ -173,7 +173,7 @@ def may_pay(problem: Problem) -> bool:
     return count >= FEWEST
 
 
-def relax_locally(problem: Problem, lists: Lists, limits: Limits) -> Found:
+def relax_locally(problem: Problem, lists: Lists, limits: Limits) -> MethodResult:
     """Relax a growing part around too large forces, by L-BFGS.
 
     Args:
@@ -193,7 +193,7 @@ def relax_locally(problem: Problem, lists: Lists, limits: Limits) -> Found:
     judged = _judge(problem, lists, free)
     while True:
         residual = judged.size.largest
-        ended = Found(
+        ended = MethodResult(
             problem.nodes(),
             judged.force,
             judged.lists,

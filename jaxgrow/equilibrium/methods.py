@@ -79,7 +79,7 @@ class Limits(NamedTuple):
     largest_step: float
 
 
-class Found(NamedTuple):
+class MethodResult(NamedTuple):
     """Outcome of a method."""
 
     nodes: Nodes
@@ -141,7 +141,7 @@ def run_stage(
     limits: Limits,
     collide: CollisionLister | None,
     observe: Callable[[Nodes], None] | None,
-) -> Found:
+) -> MethodResult:
     """Run one method; reallocate every list that overflows, larger."""
     newton = stage.name == "newton"
     problem = with_loops(problem, lists, products=newton)
@@ -172,7 +172,7 @@ def run_stage(
         ):
             problem = problem.at(outcome.nodes)
         else:
-            return Found(
+            return MethodResult(
                 outcome.nodes,
                 outcome.force,
                 lists,

@@ -24,7 +24,7 @@ from jaxtyping import Array, Float
 
 from jaxgrow.equilibrium.lbfgs import LBFGS
 from jaxgrow.equilibrium.lists import Lists
-from jaxgrow.equilibrium.methods import Found, Limits, run_stage, Stage
+from jaxgrow.equilibrium.methods import Limits, MethodResult, run_stage, Stage
 from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.refresh_lists import CollisionLister
 from jaxgrow.numerics.guards import safe_norm
@@ -93,7 +93,7 @@ def stagger(
     limits: Limits,
     collide: CollisionLister | None = None,
     observe: Callable[[Nodes], None] | None = None,
-) -> Found:
+) -> MethodResult:
     """Relax particles and membrane in turns, until both are at rest.
 
     Args:
@@ -105,7 +105,7 @@ def stagger(
         observe: called with the positions after every sweep.
     """
 
-    def relax_part(part: Problem, lists: Lists) -> Found:
+    def relax_part(part: Problem, lists: Lists) -> MethodResult:
         stage = Stage("lbfgs", LBFGS(), limits.tolerance)
         left = limits._replace(max_steps=limits.max_steps - steps)
         return run_stage(part, lists, stage, left, collide, None)
@@ -140,7 +140,7 @@ def stagger(
                 elif steps < limits.max_steps:
                     problem = moved
                     continue
-        return Found(
+        return MethodResult(
             tissue.nodes,
             tissue.force,
             lists,

@@ -18,7 +18,7 @@ from jaxgrow.growth.events import Events, numbers
 from jaxgrow.growth.loop import measure, Reached, run_loop, start_growth, Watch
 from jaxgrow.growth.result import Continuation, Growth
 from jaxgrow.growth.setup import Setup
-from jaxgrow.growth.stopping import Bounds
+from jaxgrow.growth.stopping import GrowthLimits
 from jaxgrow.runtime.compilations import count_compilations
 from jaxgrow.runtime.descents import count_descents
 from jaxgrow.runtime.entries import check_names
@@ -120,7 +120,7 @@ def grow(
         )
     if max_seconds is not None and not max_seconds > 0:
         raise ValueError(f"max_seconds is {max_seconds}; it must be positive.")
-    clock, bounds = Clock(), Bounds(max_divisions, max_seconds)
+    clock, bounds = Clock(), GrowthLimits(max_divisions, max_seconds)
     with count_compilations() as compilations, count_descents() as descents:
         if after is not None:
             if parameters is not None or tolerance is not None or events or terms:

@@ -8,7 +8,7 @@ from jaxgrow.growth.history import make_record, StepRecord
 from jaxgrow.growth.progress import make_progress, Progress
 from jaxgrow.growth.setup import GrowthState, Setup
 from jaxgrow.growth.step import grow_step
-from jaxgrow.growth.stopping import Bounds, Stopping
+from jaxgrow.growth.stopping import GrowthLimits, Stopping
 from jaxgrow.runtime.compilations import forget_now_and_then
 from jaxgrow.runtime.results import Result
 from jaxgrow.runtime.timer import Clock
@@ -57,7 +57,7 @@ def run_loop(
     setup: Setup,
     reached: Reached,
     choices: Choices,
-    bounds: Bounds,
+    bounds: GrowthLimits,
     clock: Clock,
     watch: Watch | None,
 ) -> Reached:
@@ -98,7 +98,7 @@ def run_loop(
 
 
 def _next(
-    setup: Setup, reached: Reached, choices: Choices, bounds: Bounds, clock: Clock
+    setup: Setup, reached: Reached, choices: Choices, bounds: GrowthLimits, clock: Clock
 ) -> tuple[Reached, StepRecord | None]:
     """Make one step; without a record if there is no room for a division."""
     lesion, history = setup.lesion, reached.history

@@ -19,7 +19,7 @@ ENLARGING = 1.02
 
 
 @dataclass(frozen=True)
-class Bounds:
+class GrowthLimits:
     """Where a growth ends if its lesion never has its size.
 
     Attributes:
@@ -46,7 +46,7 @@ class Stopping:
     size_mm: Scalar
     divisions: int
     history: Sequence[StepRecord]
-    bounds: Bounds
+    bounds: GrowthLimits
     seconds: float = 0.0
 
 

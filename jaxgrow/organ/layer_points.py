@@ -16,7 +16,7 @@ from jaxgrow.organ.patch import Patch
 from jaxgrow.organ.signed_distance import Sides
 
 
-class Found(NamedTuple):
+class LayerPoints(NamedTuple):
     """Points in a layer, with their depth under the organ's surface.
 
     Attributes:
@@ -67,7 +67,7 @@ class Layer:
         normals = self._surface.vertex_normals[patch.organ_index]
         self._walls = _side_walls(patch, -organ.lumen_sign * normals, thickness)
 
-    def inside(self, points: Float[np.ndarray, "n 3"]) -> Found:
+    def inside(self, points: Float[np.ndarray, "n 3"]) -> LayerPoints:
         """Select the points that lie in the layer."""
         reach = self.thickness + self._radius
         centre = self._centres.query(points, distance_upper_bound=reach)[0]
@@ -79,7 +79,7 @@ class Layer:
             & (depth <= self.thickness)
             & self._on_patch[face]
         )
-        return Found(points[inside], depth[inside], face[inside])
+        return LayerPoints(points[inside], depth[inside], face[inside])
 
     def depth(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n"]:
         """Compute the exact distance to the organ's surface, on either side."""
@@ -135,14 +135,14 @@ class Addition:
         self._on_patch = patch_before.face_mask
         self._thickness = thickness_before
 
-    def inside(self, points: Float[np.ndarray, "n 3"]) -> Found:
+    def inside(self, points: Float[np.ndarray, "n 3"]) -> LayerPoints:
         """Select the points that lie in the added part."""
         points, depth, face = self.layer.inside(points)
         new = ~self._on_patch[face] | (depth > self._thickness)
         points, depth, face = points[new], depth[new], face[new]
         gap, side, _ = self._grown.measure(points)
         free = (self._sign * side > 0) & (gap >= self.layer.gap)
-        return Found(points[free], depth[free], face[free])
+        return LayerPoints(points[free], depth[free], face[free])
 
 
 def _side_walls(

@@ -13,7 +13,7 @@ from jaxgrow.mesh.quality import area_vectors, lengths, unit
 from jaxgrow.mesh.topology import build_topology
 
 
-class Measured(NamedTuple):
+class SignedDistance(NamedTuple):
     """Distance and side of points with respect to a surface.
 
     Attributes:
@@ -67,10 +67,10 @@ class Sides:
     def _proximity(self) -> Proximity:
         return Proximity(self.vertices, self.faces)
 
-    def measure(self, points: Float[np.ndarray, "n 3"]) -> Measured:
+    def measure(self, points: Float[np.ndarray, "n 3"]) -> SignedDistance:
         """Compute distance, side and nearest triangle of each point."""
         if not len(points):
-            return Measured(np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64))
+            return SignedDistance(np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64))
         distance, face, weights = self._proximity.feet(points)
         closest = self._proximity.at(face, weights)
         normal = self.face_normals[face]
@@ -83,7 +83,7 @@ class Sides:
         on_vertex = absent.sum(axis=1) == 2
         normal = np.where(on_vertex[:, None], self.vertex_normals[corner], normal)
         side = np.einsum("ni,ni->n", points - closest, normal)
-        return Measured(distance, side, self.kept[face])
+        return SignedDistance(distance, side, self.kept[face])
 
 
 def _pseudonormals(

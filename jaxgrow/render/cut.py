@@ -6,12 +6,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
 from jaxgrow.render.camera import Camera
-from jaxgrow.render.scene import Balls, Surface
+from jaxgrow.render.scene import Balls, DrawnSurface
 from jaxgrow.render.zbuffer import samples_of_boxes
 
 
 def cut_line(
-    surface: Surface, camera: Camera
+    surface: DrawnSurface, camera: Camera
 ) -> tuple[Float[np.ndarray, "s 2 2"], Bool[np.ndarray, " s"]]:
     """Compute the line in which the plane cuts the surface.
 

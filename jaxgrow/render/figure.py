@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Integer
 from jaxgrow.render import annotate, shading
 from jaxgrow.render.checks import check_frame, check_mesh, check_particles, check_size
 from jaxgrow.render.panels import inner_panel, surface_panel
-from jaxgrow.render.scene import Balls, make_surface, Surface
+from jaxgrow.render.scene import Balls, DrawnSurface, make_surface
 from jaxgrow.render.subject import make_subject, Subject
 
 
@@ -85,7 +85,7 @@ def render_growth(
 
 def _surface(
     vertices: np.ndarray | None, faces: np.ndarray | None, label: np.ndarray | None
-) -> Surface:
+) -> DrawnSurface:
     if vertices is None and faces is None and label is None:
         return make_surface(
             np.zeros((0, 3)), np.zeros((0, 3), np.int64), np.zeros(0, np.int64)

@@ -11,7 +11,7 @@ from jaxgrow.render import annotate, shading
 from jaxgrow.render.camera import Camera, look
 from jaxgrow.render.checks import check_mesh, check_size
 from jaxgrow.render.panels import lit
-from jaxgrow.render.scene import Balls, make_surface, Surface
+from jaxgrow.render.scene import Balls, DrawnSurface, make_surface
 from jaxgrow.render.view import EVERY, see
 
 
@@ -66,7 +66,9 @@ def render_surface(
     annotate.write_page(path, [panel], field=camera.width, entries=[], caption=caption)
 
 
-def _whole(surface: Surface, view: str | Float[np.ndarray, "3"], pixels: int) -> Camera:
+def _whole(
+    surface: DrawnSurface, view: str | Float[np.ndarray, "3"], pixels: int
+) -> Camera:
     """Make a camera that sees the whole surface."""
     if isinstance(view, str):
         if view not in _VIEWS:
@@ -86,14 +88,18 @@ def _whole(surface: Surface, view: str | Float[np.ndarray, "3"], pixels: int) ->
     return look(centre, forward, upward, width=float(field), pixels=pixels, reach=reach)
 
 
-def _lit(surface: Surface, camera: Camera, line: float) -> Float32[np.ndarray, "p 3"]:
+def _lit(
+    surface: DrawnSurface, camera: Camera, line: float
+) -> Float32[np.ndarray, "p 3"]:
     view = see(surface, _no_balls(), camera)
     light = lit(view, surface, _no_balls(), reach=0.08 * camera.width, line=line)
     view.spread(light)
     return light
 
 
-def _shell(surface: Surface, camera: Camera, line: float) -> Float32[np.ndarray, "p 3"]:
+def _shell(
+    surface: DrawnSurface, camera: Camera, line: float
+) -> Float32[np.ndarray, "p 3"]:
     """Shade the far wall behind a shell that is opaque only edge-on."""
     near = surface.area_vectors @ camera.forward < 0
     light = _lit(surface.part(~near), camera, line)

@@ -9,7 +9,7 @@ from jaxgrow.render import shading
 from jaxgrow.render.camera import Camera
 from jaxgrow.render.cut import behind_plane, cut_faces_of_balls, cut_line, stroke
 from jaxgrow.render.occlusion import occlusion
-from jaxgrow.render.scene import Balls, Surface
+from jaxgrow.render.scene import Balls, DrawnSurface
 from jaxgrow.render.subject import cut_camera, oblique_camera, open_surface, Subject
 from jaxgrow.render.view import EVERY, see, View
 
@@ -45,7 +45,7 @@ def inner_panel(subject: Subject, size: int) -> UInt8[np.ndarray, "a a 3"]:
 
 
 def lit(
-    view: View, surface: Surface, balls: Balls, *, reach: float, line: float
+    view: View, surface: DrawnSurface, balls: Balls, *, reach: float, line: float
 ) -> Float32[np.ndarray, "p 3"]:
     """Shade the traced samples of surface and balls, on white.
 
@@ -110,7 +110,10 @@ def _between(
 
 
 def _membrane(
-    light: Float32[np.ndarray, "p 3"], surface: Surface, camera: Camera, width: float
+    light: Float32[np.ndarray, "p 3"],
+    surface: DrawnSurface,
+    camera: Camera,
+    width: float,
 ) -> None:
     """Draw the line in which the plane cuts the surface."""
     segments, lesion = cut_line(surface, camera)

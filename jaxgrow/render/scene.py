@@ -15,7 +15,7 @@ _FINE = 500
 
 
 @dataclass(frozen=True)
-class Surface:
+class DrawnSurface:
     """Labelled triangle mesh.
 
     Attributes:
@@ -47,9 +47,9 @@ class Surface:
         """Triangles with at least one corner on the lesion."""
         return np.asarray((self.label[self.faces] > 0.5).any(axis=1))
 
-    def part(self, chosen: Bool[np.ndarray, " f"]) -> Surface:
+    def part(self, chosen: Bool[np.ndarray, " f"]) -> DrawnSurface:
         """Return the same vertices with some of the triangles."""
-        return Surface(self.vertices, self.faces[chosen], self.label, self.normal)
+        return DrawnSurface(self.vertices, self.faces[chosen], self.label, self.normal)
 
 
 @dataclass(frozen=True)
@@ -75,9 +75,9 @@ def make_surface(
     vertices: Float[np.ndarray, "m 3"],
     faces: Integer[np.ndarray, "f 3"],
     label: np.ndarray,
-) -> Surface:
+) -> DrawnSurface:
     """Make a surface with area-weighted vertex normals."""
-    flat = Surface(
+    flat = DrawnSurface(
         np.asarray(vertices, np.float64),
         np.asarray(faces, np.int64),
         np.asarray(label, np.float64),
@@ -86,7 +86,7 @@ def make_surface(
     normal = np.zeros((len(vertices), 3))
     for column in range(3):
         np.add.at(normal, flat.faces[:, column], flat.area_vectors)
-    return Surface(flat.vertices, flat.faces, flat.label, unit(normal))
+    return DrawnSurface(flat.vertices, flat.faces, flat.label, unit(normal))
 
 
 def ball_triangles(

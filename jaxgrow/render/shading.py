@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int, UInt8
 
 from jaxgrow.render.camera import Camera
-from jaxgrow.render.scene import Balls, Surface
+from jaxgrow.render.scene import Balls, DrawnSurface
 from jaxgrow.render.view import chunks, EVERY, interpolate, View
 
 
@@ -111,7 +111,7 @@ def _lit(
 
 def surface_albedo(
     view: View,
-    surface: Surface,
+    surface: DrawnSurface,
     at: Int[np.ndarray, " h"],
     *,
     line: float,
@@ -138,7 +138,7 @@ def surface_albedo(
     return colour
 
 
-def _heights(view: View, surface: Surface) -> Float32[np.ndarray, "f 3"]:
+def _heights(view: View, surface: DrawnSurface) -> Float32[np.ndarray, "f 3"]:
     """Compute the heights of the triangles in the picture, in samples.
 
     There is one over each side.

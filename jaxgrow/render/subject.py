@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxgrow.render.camera import Camera, look, perpendicular, unit
-from jaxgrow.render.scene import Balls, Surface
+from jaxgrow.render.scene import Balls, DrawnSurface
 from jaxgrow.render.view import see
 
 
@@ -32,7 +32,7 @@ class Subject:
         lumen: +1 if the surface's normals point to the free side, -1 if to the tissue.
     """
 
-    surface: Surface
+    surface: DrawnSurface
     balls: Balls
     site: Float[np.ndarray, "3"]
     axis: Float[np.ndarray, "3"]
@@ -53,7 +53,7 @@ class Subject:
 
 
 def make_subject(
-    surface: Surface,
+    surface: DrawnSurface,
     balls: Balls,
     site: Float[np.ndarray, "3"],
     axis: Float[np.ndarray, "3"],
@@ -124,7 +124,7 @@ def cut_camera(subject: Subject, pixels: int) -> Camera:
     )
 
 
-def open_surface(surface: Surface, camera: Camera, lumen: int) -> Surface:
+def open_surface(surface: DrawnSurface, camera: Camera, lumen: int) -> DrawnSurface:
     """Remove the walls that turn their tissue side to the camera.
 
     This removes all walls between the viewer and the lumen. The lesion stays whole: its
@@ -167,7 +167,7 @@ def _turned_to_the_better_side(subject: Subject) -> Subject:
 
 
 def _lesion_points(
-    surface: Surface, balls: Balls, site: Float[np.ndarray, "3"]
+    surface: DrawnSurface, balls: Balls, site: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "k 3"]:
     """Return the points to frame: the lesion, or else the particles."""
     lesion = surface.vertices[surface.label > 0.5]
@@ -194,7 +194,7 @@ def _widest(
 
 
 def _free_side(
-    surface: Surface, axis: Float[np.ndarray, "3"], site: Float[np.ndarray, "3"]
+    surface: DrawnSurface, axis: Float[np.ndarray, "3"], site: Float[np.ndarray, "3"]
 ) -> int:
     """Return +1 if normals point to where the axis points, else -1.
 

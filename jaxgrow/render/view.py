@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int
 
 from jaxgrow.render.camera import Camera, unit
-from jaxgrow.render.scene import ball_triangles, Balls, Surface
+from jaxgrow.render.scene import ball_triangles, Balls, DrawnSurface
 from jaxgrow.render.trace import Hits, make_tracer, no_hits, Tracer
 
 
@@ -60,7 +60,7 @@ class View:
             pixel[:, down, :, across][plain] = pixel[:, 0, :, 0][plain]
 
 
-def see(surface: Surface, balls: Balls, camera: Camera) -> View:
+def see(surface: DrawnSurface, balls: Balls, camera: Camera) -> View:
     """Trace the samples of a camera.
 
     One sample of each pixel is traced first, and the others only where neighbouring
@@ -147,7 +147,7 @@ def _silhouettes(view: View) -> Bool[np.ndarray, "a a"]:
     return rough
 
 
-def _surface_normals(view: View, surface: Surface) -> None:
+def _surface_normals(view: View, surface: DrawnSurface) -> None:
     """Interpolate vertex normals, and turn them to the viewer."""
     forward = view.camera.forward.astype(np.float32)
     # The flat normal decides on the side: near a silhouette the smooth one may already

@@ -97,6 +97,9 @@ def _explain(problem: Any, model: type[pydantic.BaseModel]) -> str:
         return f"{where} is missing"
     if problem["type"] == "extra_forbidden":
         return _unknown(where, location[-1], _table(model, location).model_fields)
+    if problem["type"] == "union_tag_invalid":
+        tag = problem["ctx"]
+        return f"{where}.kind is {tag['tag']!r}; known are {tag['expected_tags']}"
     if problem["type"] == "too_short" and not problem["input"]:
         return f"{where} is empty"
     if problem["type"] == "value_error":

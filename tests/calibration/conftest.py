@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from jaxgrow.calibration.evaluations import Measured
+from jaxgrow.calibration.evaluations import Evaluation
 
 
 class Formula:
@@ -25,9 +25,9 @@ class Formula:
         self.asked.append((seed, values))
         (k,) = values
         if k > self.fails_above:
-            return Measured(seed, values, "STEP_LIMIT", ())
+            return Evaluation(seed, values, "STEP_LIMIT", ())
         x, noise = math.log(k), 0.02 * math.sin(5 * seed + 1)
-        return Measured(seed, values, "REACHED", (1.3 - 0.4 * x + noise, 2 - 0.5 * x))
+        return Evaluation(seed, values, "REACHED", (1.3 - 0.4 * x + noise, 2 - 0.5 * x))
 
     def slopes(self, _, values):
         if self.share is None:
@@ -55,7 +55,7 @@ class Chaos:
         rng = np.random.default_rng([seed, *np.array(values).view(np.uint32)])
         scatter = 0.25 * math.sqrt(2) * rng.standard_normal(2)
         metrics = scatter - math.log(values[0] / self.true)
-        return Measured(seed, values, "REACHED", tuple(metrics.tolist()))
+        return Evaluation(seed, values, "REACHED", tuple(metrics.tolist()))
 
     def slopes(self, _, values):
         row = (-0.4 / values[0], *[0.0] * (len(values) - 1))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxgrow.calibration import fit
-from jaxgrow.calibration.evaluations import LesionGrower, Measured
+from jaxgrow.calibration.evaluations import Evaluation, LesionGrower
 from jaxgrow.calibration.spec import Bounds, make_task
 from jaxgrow.cli.main import main
 from jaxgrow.growth.grow import grow
@@ -112,7 +112,7 @@ def test_the_command_says_that_an_interrupted_fit_goes_on(
         if len(made) == growths:
             raise KeyboardInterrupt
         made.append(seed)
-        return Measured(seed, values, "REACHED", (0.9, 2.0))
+        return Evaluation(seed, values, "REACHED", (0.9, 2.0))
 
     monkeypatch.setattr(LesionGrower, "measure", interrupted)
     monkeypatch.setattr(LesionGrower, "slopes", lambda *_: ())

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxgrow.calibration.coordinates import Coordinates
-from jaxgrow.calibration.evaluations import Growths, Measured
+from jaxgrow.calibration.evaluations import Evaluation, Growths
 from jaxgrow.calibration.loss import Loss, RIDGE
 from jaxgrow.calibration.spec import make_task
 
@@ -26,7 +26,7 @@ class Sheet:
     def measure(self, seed, values):
         u = np.asarray(self.coordinates.coordinates(jnp.asarray(values)))
         metrics = self.slope @ u + np.array([0.1, -0.2]) * seed
-        return Measured(seed, values, "REACHED", tuple(metrics.tolist()))
+        return Evaluation(seed, values, "REACHED", tuple(metrics.tolist()))
 
     def slopes(self, seed, values):
         if seed in self.without:

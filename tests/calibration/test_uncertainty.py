@@ -7,7 +7,7 @@ import pytest
 
 from jaxgrow.calibration import fit
 from jaxgrow.calibration.coordinates import PRIOR_VARIANCE
-from jaxgrow.calibration.evaluations import Measured
+from jaxgrow.calibration.evaluations import Evaluation
 from jaxgrow.calibration.spec import Bounds
 from jaxgrow.scene.scene import Scene
 
@@ -22,7 +22,7 @@ class Lines:
         rng = np.random.default_rng(seed)
         noise = self.noise * rng.standard_normal(len(self.matrix))
         metrics = self.matrix @ np.log(values) + noise
-        return Measured(seed, values, "REACHED", tuple(metrics.tolist()))
+        return Evaluation(seed, values, "REACHED", tuple(metrics.tolist()))
 
     def slopes(self, _, values):
         return tuple(map(tuple, (self.matrix / np.array(values)).tolist()))

@@ -152,7 +152,10 @@ def test_help_is_shown_without_arguments(capsys):
         (["grow"], "Missing option '--out'"),
         (["grow", "--out"], "'--out' requires an argument"),
         (["grow", "--out", "x", "--sizemm", "3"], "No such option: --sizemm"),
-        (["grow", "--out", "x", "--lesion", "polp"], "'polp' is not one of 'polyp'"),
+        (
+            ["grow", "--out", "x", "--lesion", "polp"],
+            "lesion.kind is 'polp'; known are 'polyp', 'myoma'",
+        ),
         (["grow", "--out", "x", "--tissue", "up"], "'up' is not one of 'outside'"),
         (["grow", "--out", "x", "--format", "xyz"], "'xyz' is not one of 'ply'"),
         (["grow", "--out", "x", "--size-mm", "big"], "Invalid value for '--size-mm'"),

@@ -23,7 +23,7 @@ from jaxgrow.growth.history import StepRecord
 from jaxgrow.growth.initial_state import make_free_cluster
 from jaxgrow.growth.setup import Setup
 from jaxgrow.growth.step import divide
-from jaxgrow.growth.stopping import Bounds, STAGNATION, stop_reason, Stopping
+from jaxgrow.growth.stopping import GrowthLimits, STAGNATION, stop_reason, Stopping
 from jaxgrow.io.audit import audit
 from jaxgrow.lesions.myoma import Myoma
 from jaxgrow.lesions.polyp import Polyp
@@ -305,7 +305,7 @@ def records(sizes, colliding=True, each=1):
 
 
 def reason(scene, divisions, past):
-    return stop_reason(scene.lesion, Stopping(7.0, divisions, past, Bounds(3000)))
+    return stop_reason(scene.lesion, Stopping(7.0, divisions, past, GrowthLimits(3000)))
 
 
 def test_cavity_is_full_when_divisions_against_a_wall_hardly_enlarge():

@@ -16,7 +16,7 @@ from PIL import Image
 from jaxgrow.render import render_growth, render_surface
 from jaxgrow.render.annotate import round_length
 from jaxgrow.render.checks import check_mesh, check_particles
-from jaxgrow.render.scene import Balls, make_surface, Surface
+from jaxgrow.render.scene import Balls, make_surface, DrawnSurface
 from jaxgrow.render.shading import SPECIES
 from jaxgrow.render.subject import (
     make_subject,
@@ -146,7 +146,7 @@ def _subject(growth: dict[str, Any]) -> Subject:
     )
 
 
-def _nothing() -> Surface:
+def _nothing() -> DrawnSurface:
     return make_surface(np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros(0))
 
 

@@ -7,7 +7,7 @@ import trimesh
 from jaxgrow.render.camera import look
 from jaxgrow.render.cut import behind_plane, cut_faces_of_balls, cut_line, stroke
 from jaxgrow.render.occlusion import occlusion
-from jaxgrow.render.scene import Balls, make_surface, Surface
+from jaxgrow.render.scene import Balls, make_surface, DrawnSurface
 from jaxgrow.render.view import see
 
 
@@ -68,7 +68,7 @@ def test_balls_that_only_touch_the_near_side_are_not_behind_the_plane() -> None:
     assert left.species.tolist() == [1, 2]
 
 
-def _floor(lid: bool) -> Surface:
+def _floor(lid: bool) -> DrawnSurface:
     """A large square; at will a second one half a millimetre above its left half."""
     square = np.array([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0.0]])
     faces = np.array([[0, 1, 2], [0, 2, 3]])
