@@ -141,7 +141,7 @@ def of_growth(growth: jg.Growth, **figures: Any) -> Found:
     accepted = [r.residual for r in growth.history if r.result == "CONVERGED"]
     mended: dict[str, int] = {}
     for record in growth.history:
-        for name, count in record.get("mended", {}).items():
+        for name, count in record.mended.items():
             mended[name] = mended.get(name, 0) + count
     if growth.history and growth.history[-1].result != "CONVERGED":
         figures["residual_of_the_last"] = growth.history[-1].residual

@@ -1,1 +1,1 @@
-"""The command ``jaxgrow``."""
+"""Command ``jaxgrow``."""

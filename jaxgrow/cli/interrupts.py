@@ -1,4 +1,4 @@
-"""Ctrl-C that is heard wherever it comes."""
+"""Reliable handling of Ctrl-C, also during garbage collection."""
 
 import contextlib
 import gc
@@ -9,20 +9,20 @@ from types import FrameType
 
 
 AGAIN = 0.02
-"""Seconds until an interrupt is tried again."""
+"""Seconds until an interrupt is raised again."""
 
 
 @contextlib.contextmanager
 def heard_interrupts() -> Iterator[None]:
-    """Make every SIGINT a KeyboardInterrupt within the block.
+    """Raise KeyboardInterrupt for every SIGINT within the block.
 
     Python ignores exceptions in callbacks of its garbage collector. JAX has such a
     callback (jax/_src/lib/__init__.py, ``_xla_gc_callback``), and signals are often
-    noticed just there, so about every third Ctrl-C would be lost. To be removed when
+    handled just there, so about every third Ctrl-C would be lost. To be removed when
     JAX has no Python function among ``gc.callbacks``.
 
-    Nothing is changed outside of the main thread, or where SIGINT is already handled
-    in another way than by default.
+    Nothing is changed outside of the main thread, or if SIGINT has another handler than
+    Python's default.
     """
     if (
         threading.current_thread() is not threading.main_thread()
@@ -38,7 +38,7 @@ def heard_interrupts() -> Iterator[None]:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    """Raise KeyboardInterrupt, a moment later if it would be ignored now."""
+    """Raise KeyboardInterrupt, or do so after `AGAIN` if it would be ignored."""
     deaf = {getattr(callback, "__code__", None) for callback in gc.callbacks}
     while frame is not None:
         if frame.f_code in deaf:

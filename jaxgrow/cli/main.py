@@ -1,7 +1,7 @@
-"""The command ``jaxgrow``: grow, fit, audit, sites.
+"""Command line application ``jaxgrow``: grow, fit, audit, sites.
 
-This is the application, so configuration belongs here: 64-bit numbers and the cache of
-compiled programs. Nothing heavy is imported before a command needs it.
+As this is the application, it sets the configuration: 64-bit numbers and the cache of
+compiled programs. No heavy module is imported before a command needs it.
 """
 
 import contextlib
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 
 
 UNSUCCESSFUL = 1
-"""Exit status: the run is written, but it is not what was asked for."""
+"""Exit status if the run is written, but is not what was asked for."""
 
 REFUSED = 2
-"""Exit status: the input is wrong, and nothing was written."""
+"""Exit status if the input is wrong; nothing was written."""
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C."""
@@ -52,22 +52,22 @@ class _Format(enum.StrEnum):
 
 
 class _Refusal(typer.TyperException):
-    """Input that cannot be used; its message is one sentence."""
+    """Error in the input; its message is one sentence."""
 
     exit_code = REFUSED
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status.
+    """Run the command line, and return the exit status.
 
     0: what was asked for was reached; 1: it was not, and the run says why; 2: the input
-    is wrong; 130: interrupted. What went wrong is told in one line, without traceback.
+    is wrong; 130: interrupted. An error is reported in one line, without traceback.
     """
     try:
         with heard_interrupts():
             status = app(args=arguments, prog_name="jaxgrow", standalone_mode=False)
     except typer.TyperException as error:
-        # Without any argument the help has been shown, and there is no message.
+        # Without any argument the help was shown, and the message is empty.
         if error.format_message():
             _say(error.format_message().replace("Value error, ", ""))
         return error.exit_code
@@ -80,9 +80,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def command() -> int:
-    """What the installed command runs: `main`, and no waiting after Ctrl-C.
+    """Run `main` for the installed command, and exit at once after Ctrl-C.
 
-    An interpreter that is interrupted while XLA compiles may wait for ever for its
+    An interpreter that is interrupted while XLA compiles may wait forever for its
     threads when it ends; there is nothing left to be cleaned up.
     """
     status = main()
@@ -211,7 +211,7 @@ def grow(
 def _conclude(
     growth: "Growth", report: dict[str, Any], out: Path, seconds: float
 ) -> None:
-    """Tell the outcome, and exit with 1 if it is not what was asked for."""
+    """Report the outcome, and exit with 1 if it is not what was asked for."""
     from jaxgrow.io.run_folder import describe
 
     if growth.mended.get("patch_enlarged"):
@@ -241,7 +241,7 @@ def fit(
         typer.Option(metavar="DIR", help="Folder; an interrupted fit in it goes on."),
     ],
 ) -> None:
-    """Find parameters with which lesions have the shape that an expert describes."""
+    """Fit parameters such that grown lesions have the target shape metrics."""
     with _refusals():
         _configure()
         from jaxgrow.calibration import fit as run, load_task
@@ -274,7 +274,7 @@ def fit(
 def audit(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run.")],
 ) -> None:
-    """Check a run's files independently: exit status 0 if they have no defect."""
+    """Audit a run's files independently; exit status 0 if they have no defect."""
     with _refusals():
         from jaxgrow.io.run_folder import audit_run
 
@@ -291,7 +291,7 @@ def sites(
         str, typer.Option(metavar="FILE|uterus", help="The organ.")
     ] = "uterus",
 ) -> None:
-    """List an organ's named sites (mm), and how deep the lumen is there."""
+    """List an organ's named sites, and the depth of the lumen there (mm)."""
     with _refusals():
         from jaxgrow.organ import load_organ, locate_site, room, uterus
 
@@ -305,14 +305,14 @@ def sites(
 
 
 def combine(path: Path | None, wanted: dict[str, Any]) -> "Scene":
-    """The scene of a file, or the default one, with options put over it.
+    """Make the scene of a file, or the default one, overridden by options.
 
     A size on the command line replaces a number of divisions in the file; with another
     kind of lesion, entries that only the former kind has are dropped.
 
     Args:
         path: the scene file, or None.
-        wanted: entries as a scene file has them; None where there is no option.
+        wanted: entries as a scene file has them; None for options not given.
     """
     from jaxgrow.scene.scene import LESIONS, make_scene, read_entries
 
@@ -334,7 +334,7 @@ def combine(path: Path | None, wanted: dict[str, Any]) -> "Scene":
 
 @contextlib.contextmanager
 def _refusals() -> Iterator[None]:
-    """Turn errors about the input into one sentence and exit status 2."""
+    """Convert errors in the input into one sentence and exit status 2."""
     from jaxgrow.io.run_folder import RunFolderError
     from jaxgrow.organ.validity import OrganError
 
@@ -342,7 +342,7 @@ def _refusals() -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        # These modules import JAX; if one is not loaded it raised nothing.
+        # These modules import JAX; one that is not loaded cannot have raised.
         scene = sys.modules.get("jaxgrow.scene.scene")
         if scene is not None:
             errors = (*errors, scene.SceneError)
@@ -355,7 +355,7 @@ def _refusals() -> Iterator[None]:
 
 
 def _configure() -> None:
-    """Set JAX up: 64 bits, quiet, compiled programs kept on disk between runs."""
+    """Configure JAX: 64 bits, quiet, compiled programs cached on disk."""
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     warnings.formatwarning = lambda message, *_, **__: f"jaxgrow: warning: {message}\n"
     import jax
@@ -366,12 +366,12 @@ def _configure() -> None:
 
 
 def _require_device() -> None:
-    """Refuse to go on if JAX has no device of the kind that it was told to use."""
+    """Refuse the run if JAX has no device of the configured platform."""
     import jax
 
     try:
         jax.devices()
-    # JAX fails by an assertion where it knows a platform whose plugin is missing
+    # JAX raises an AssertionError for a known platform whose plugin is missing
     except (RuntimeError, AssertionError) as error:
         platforms = jax.config.values["jax_platforms"]
         raise _Refusal(
@@ -381,7 +381,7 @@ def _require_device() -> None:
 
 
 def _flat(entries: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Nested entries as lines, with their path for a name."""
+    """Iterate over nested entries, each named by its path."""
     for name, value in entries.items():
         if isinstance(value, dict):
             yield from _flat(value, f"{prefix}{name}.")
@@ -390,7 +390,7 @@ def _flat(entries: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]
 
 
 def _say(message: str) -> None:
-    """One line on standard error."""
+    """Print one line on standard error."""
     typer.echo("jaxgrow: " + " ".join(message.split()), err=True)
 
 

@@ -1,4 +1,4 @@
-"""What a running growth shows: a live bar on a terminal, sparse lines elsewhere."""
+"""Progress display: a live bar on a terminal, sparse lines elsewhere."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ if TYPE_CHECKING:
 
 
 PREPARING = "preparing the tissue"
-"""What is shown before the first division."""
+"""Text before the first division."""
 
 LINE_EVERY = 0.1
-"""Without a terminal a line is written after each such share of the way, …"""
+"""Share of the growth after which a further line is written without a terminal."""
 
 LINE_SECONDS = 30.0
-"""… and after so many seconds without one."""
+"""Seconds without a line after which one is written in any case."""
 
 
 class ProgressDisplay:
-    """Divisions, size reached of size asked for, residual and time left.
+    """Display of divisions, size and target size, residual and time left.
 
     A context manager, and the callable that `jaxgrow.grow` takes as `progress`.
 
     Args:
-        console: where to write; a terminal gets a bar, anything else lines.
+        console: to write to; a terminal gets a bar, anything else lines.
     """
 
     def __init__(self, console: Console) -> None:
@@ -65,7 +65,7 @@ class ProgressDisplay:
             self._bar.stop()
 
     def __call__(self, progress: Progress) -> None:
-        """Show where the growth stands."""
+        """Show the progress of a growth."""
         share = self._way.add(progress)
         text = describe(progress, self._way.seconds_left())
         if self._bar is not None:
@@ -79,7 +79,7 @@ class ProgressDisplay:
 
 
 def describe(progress: Progress, seconds_left: float | None) -> str:
-    """One line for one state of a growth."""
+    """Format the progress of a growth as one line."""
     if progress.target_mm is None:
         divisions = f"{progress.divisions} of {progress.target_divisions} divisions"
         size = f"{progress.size_mm:.1f} mm"
@@ -93,19 +93,19 @@ def describe(progress: Progress, seconds_left: float | None) -> str:
 
 
 def clock(seconds: float) -> str:
-    """Seconds as m:ss or h:mm:ss."""
+    """Format seconds as m:ss or h:mm:ss."""
     minutes, rest = divmod(math.ceil(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02}:{rest:02}" if hours else f"{minutes}:{rest:02}"
 
 
 class _Way:
-    """Share of the way, and the time for the rest.
+    """Completed share of a growth, and an estimate of the time left.
 
-    The time that a growth has taken is taken to be a power of how far it has come.
-    The exponent is measured between half of the way that is behind us and now, and
-    kept between 1 and 4: a finger grows in length by its divisions (1), a ball in
-    diameter by their cube root (3), and each division costs more than the one before.
+    The elapsed time is modelled as a power of the completed share. The exponent is
+    fitted to two points, half of the present share and the present one, and clipped to
+    1 to 4: a finger's length grows with the number of divisions (1), a ball's diameter
+    with its cube root (3), and each division costs more than the one before.
     """
 
     def __init__(self) -> None:
@@ -121,7 +121,7 @@ class _Way:
         return share
 
     def seconds_left(self) -> float | None:
-        """None as long as there is too little to go by."""
+        """Estimate the time left; None as long as there are too few points."""
         share, seconds = self._trail[-1]
         if share <= 0.05 or len(self._trail) < 5:
             return None

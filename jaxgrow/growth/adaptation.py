@@ -1,9 +1,9 @@
-"""Adapt tissues and surface (paper §4), and mend what goes wrong with it.
+"""Adaptation of tissues and surface (paper §4), with failure recovery.
 
-An equilibrium is accepted if the relaxation converged and did not throw particles out.
-Otherwise it is tried again from where it started, with shorter steps. Where sheets of
-the surface come into each other's range, the energy of their collision joins in, from
-then on in this growth: as long as none do it is zero, and a growth does not pay for it.
+An equilibrium is accepted if the relaxation converged and did not eject particles.
+Otherwise it is tried again from the same start, with shorter steps. As soon as sheets
+of the surface are within the collision range of each other, the collision energy is
+added, for the rest of this growth. Until then it is zero, and is not computed.
 """
 
 import math
@@ -36,10 +36,10 @@ class EquilibrationResult:
 
     Attributes:
         state: the equilibrium, if the result is CONVERGED.
-        result: CONVERGED, or what the last attempt failed with.
+        result: CONVERGED, or the failure of the last attempt.
         relaxation: the last one.
         colliding: whether the collision energy is part of it.
-        mended: how often what was mended, by name.
+        mended: number of recoveries of each kind, by name.
     """
 
     state: State
@@ -52,7 +52,9 @@ class EquilibrationResult:
 def equilibrate(
     setup: Setup, now: GrowthState, *, colliding: bool
 ) -> EquilibrationResult:
-    """2. and 3. Adapt tissues and surface: find their common equilibrium.
+    """Find the common equilibrium of tissues and surface.
+
+    These are phases 2 (adapt the tissues) and 3 (adapt the surface) of the paper's §4.
 
     Args:
         setup: of the growth.
@@ -101,7 +103,7 @@ def equilibrate(
 
 
 def collision_finder(setup: Setup, now: GrowthState) -> CollisionFinder | None:
-    """Return what finds sheets that may meet; None without a membrane."""
+    """Return the collision broad phase of the state; None without a membrane."""
     membrane = now.state.membrane
     if membrane is None:
         return None
@@ -111,7 +113,7 @@ def collision_finder(setup: Setup, now: GrowthState) -> CollisionFinder | None:
 def equilibrate_from(
     setup: Setup, now: GrowthState, start: Positions, *, colliding: bool
 ) -> EquilibrationResult:
-    """Find the equilibrium whose basin a recorded one is in.
+    """Find the equilibrium in the basin of a recorded one.
 
     Args:
         setup: of the growth.
@@ -135,24 +137,25 @@ def equilibrate_from(
 
 
 def _alone(points: Float[np.ndarray, "n 3"]) -> int:
-    """Number of particles, two at least, without a neighbour that they feel."""
+    """Count particles without a neighbour within the cutoff, of two at least."""
     return kernels.loops("company").alone(np.asarray(points, float), CUTOFF)
 
 
 JUMP, LEAST_JUMP = 1.2, 0.25
-"""Factor of its radius of gyration, and at least so many r0, by which no relaxation
-after a division enlarges the whole."""
+"""Largest factor by which a relaxation after a division may enlarge the radius of
+gyration; increases below the second number (r0) are always allowed."""
 
 
 LARGEST_SHARE_LOST = 0.02
-"""Of the particles, which may lose all of their neighbours."""
+"""Largest share of the particles that may lose all of their neighbours."""
 
 
 def _flew_apart(before: Particles, after: Particles) -> bool:
-    """Whether particles that had neighbours lost them all, or the whole flew apart.
+    """Return whether the cluster evaporated: as a whole, or single particles.
 
-    A relaxation with too long steps throws particles out of each other's reach, where
-    no force is left and everything seems to be at rest.
+    It is so if the radius of gyration jumped, or if many particles lost all of their
+    neighbours. A relaxation with too long steps moves particles out of the range of
+    the pair potential, where no force is left and the state seems to be at rest.
     """
     alive = get(before.alive)
     old, new = (get(particles.position)[alive] for particles in (before, after))
@@ -164,10 +167,11 @@ def _flew_apart(before: Particles, after: Particles) -> bool:
 
 
 def _lost(old: Float[np.ndarray, "n 3"], new: Float[np.ndarray, "n 3"]) -> bool:
-    """Whether many more have no neighbour than had none.
+    """Return whether many more particles are isolated than before.
 
-    Of very many they are counted near those that moved: only there can it be another
-    number. What was before is counted only where they are many now.
+    The limit of the increase is `LARGEST_SHARE_LOST`. In large systems only particles
+    near those that moved are counted: the number can change only there. The number
+    before is counted only if that after is above the limit.
     """
     most = LARGEST_SHARE_LOST * len(new)
     if len(new) <= FEW:
@@ -181,7 +185,7 @@ def _lost(old: Float[np.ndarray, "n 3"], new: Float[np.ndarray, "n 3"]) -> bool:
 
 
 def _count_alone(points: Float[np.ndarray, "n 3"], some: Bool[np.ndarray, " n"]) -> int:
-    """How many of some of the points have no neighbour."""
+    """Count those of some points that have no neighbour within the cutoff."""
     around = near_seeds(points, points[some], CUTOFF)
     if around.sum() < 2:
         return int(some.sum())

@@ -1,10 +1,10 @@
-"""What the border of a patch feels: its rim, and the tissue that is held around it.
+"""Reaction forces on the boundary of a patch: on rim and held tissue.
 
-A patch is large enough if what holds it does not feel the lesion: if the forces on the
+A patch is large enough if the lesion does not act on its boundary: if the forces on the
 held tissue are about those before growth, if no tumour particle presses on it or on the
-rim, and if no particle has left the room under the patch: the rest of the organ's
-surface holds nothing back. (The force on the rim tells nothing: the pull of the springs
-there changes with every reset.)
+rim, and if no particle has left the region under the patch, as the rest of the organ's
+surface holds no particle back. (The force on the rim cannot serve as a criterion: the
+tension of the springs there changes with every reset.)
 """
 
 from dataclasses import dataclass
@@ -32,10 +32,11 @@ Under a stiff membrane they are larger from the beginning; there the bound is
 """
 
 SHARE = 0.5
+"""Change of the force that is allowed, as a share of the largest before growth."""
 
 CONTACT_DISTANCE = 0.58
-"""Distance of a tumour particle to what is held, in r0, where a pair repels by
-`FORCE_CHANGE_LIMIT`.
+"""Distance of a tumour particle to the rim or a held particle, in r0, at which a pair
+repels by `FORCE_CHANGE_LIMIT`.
 
 In tissue of the default density neighbours are 0.8 to 0.9 apart.
 """
@@ -43,7 +44,7 @@ In tissue of the default density neighbours are 0.8 to 0.9 apart.
 
 @dataclass(frozen=True, eq=False)
 class BoundaryReaction:
-    """What is held around a patch.
+    """Boundary of a patch, with the reaction forces on it.
 
     Attributes:
         rim: position of the membrane's fixed vertices, in r0.
@@ -57,15 +58,15 @@ class BoundaryReaction:
 
 
 class BoundaryCheck(NamedTuple):
-    """How a border feels the lesion.
+    """Effect of the lesion on the boundary of the patch.
 
     Attributes:
         force: largest change of the force on a held particle since before growth, in
             F(0).
         distance: of the nearest tumour particle, in r0; infinite without any.
-        place: where, in r0, if the border feels it; else None.
-        crossed: free particles that are outside the organ, having left it beside the
-            patch, where no membrane is.
+        place: of the largest effect, in r0, if the patch is too small; else None.
+        crossed: number of free particles outside the organ, which left it beside the
+            patch, where there is no membrane.
     """
 
     force: float
@@ -75,11 +76,11 @@ class BoundaryCheck(NamedTuple):
 
 
 class EscapedParticles(NamedTuple):
-    """Free particles that have left the room under a patch.
+    """Free particles that have left the region under a patch.
 
     Attributes:
-        position: of those that are under the rest of the organ's surface, in r0.
-        crossed: how many of them are on its wrong side.
+        position: of those that are near the rest of the organ's surface, in r0.
+        crossed: number of these that are on its wrong side.
     """
 
     position: Float[np.ndarray, "b 3"]
@@ -87,7 +88,7 @@ class EscapedParticles(NamedTuple):
 
 
 def boundary_reaction(relaxation: Relaxation) -> BoundaryReaction:
-    """The border after the relaxation of a patch, particles and membrane."""
+    """Extract the boundary and its reaction forces from a relaxation."""
     particles, membrane = relaxation.state
     assert particles is not None
     assert membrane is not None
@@ -106,11 +107,11 @@ def check_reaction(
     particles: Particles,
     beside: EscapedParticles,
 ) -> BoundaryCheck:
-    """Whether a border feels the lesion.
+    """Compare the reaction forces on a boundary with those before growth.
 
     Args:
         border: now.
-        before: the same border before growth.
+        before: the same boundary before growth.
         particles: now.
         beside: free particles that are beside the patch.
     """
@@ -137,9 +138,10 @@ def check_reaction(
 def find_escaped(
     particles: Particles, surface: Surface, walls: Walls, reach: float
 ) -> EscapedParticles:
-    """Free particles whose nearest surface is a wall, within a distance of it.
+    """Find escaped particles: the free ones that are nearest to a wall.
 
-    What lies under the membrane has the membrane nearer than any wall behind it.
+    The wall is within a given distance of them. Particles under the membrane are nearer
+    to it than to any wall behind it.
 
     Args:
         particles: of the patch.
@@ -165,6 +167,6 @@ def find_escaped(
     out = (to_wall < reach) & (to_wall < to_membrane)
     normal = area_vectors(walls.vertices[faces[face]])
     above = np.einsum("ni,ni->n", points - foot, normal) >= 0
-    # the foremost ones first
+    # the nearest to a wall first
     order = np.argsort(to_wall[out], kind="stable")
     return EscapedParticles(points[out][order], int(np.count_nonzero(out & above)))

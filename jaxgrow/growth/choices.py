@@ -1,8 +1,8 @@
-"""Where the discrete choices of a growth come from: drawn, or recorded.
+"""Sources of the discrete choices of a growth: drawn, or recorded.
 
 A growth, its replay, its derivative and its continuation are the same loop
-(`jaxgrow.growth.loop`); they differ in who chooses. `Drawn` draws from a generator and
-keeps what it chose; `Recorded` repeats what was kept.
+(`jaxgrow.growth.loop`); they differ in the source of the discrete choices. `Drawn`
+draws them from a generator and records them; `Recorded` repeats a record.
 """
 
 import copy
@@ -32,22 +32,26 @@ from jaxgrow.transfer.device import get_positions
 
 
 ENLARGEMENTS = 5
-"""How often the patch follows a force on its border, or a tumour that comes near it."""
+"""Largest number of enlargements of the patch for a force on its boundary, or for a
+tumour near it."""
 
 
 @runtime_checkable
 class Choices(Protocol):
-    """Who decides in a growth."""
+    """Source of the discrete choices of a growth."""
 
     checks_boundary: bool
-    """Whether the border of the patch is looked at after a step."""
+    """Whether the reaction on the patch's boundary is checked after a step."""
 
     def start(self, setup: Setup) -> InitialState:
         """Return the state that growth starts from."""
         ...
 
     def stop(self, setup: Setup, stopping: Stopping) -> Result:
-        """Return why the growth ends before the next step; CONVERGED if it goes on."""
+        """Return the stopping criterion met before the next step.
+
+        CONVERGED if there is none, and the growth continues.
+        """
         ...
 
     def divisions(
@@ -57,11 +61,11 @@ class Choices(Protocol):
         ...
 
     def settle(self, setup: Setup, now: GrowthState, clock: Clock) -> FairingResult:
-        """Return the equilibrium after a division, faired."""
+        """Find the equilibrium after a division, and fair it."""
         ...
 
     def after_failure(self, result: Result, history: Sequence[StepRecord]) -> Result:
-        """Return the name of a failed step's result."""
+        """Return the result of a growth after the result of its last step."""
         ...
 
     def enlarge(
@@ -76,14 +80,14 @@ class Choices(Protocol):
 
         Args:
             setup: of the growth.
-            now: where it stands.
-            check: what the border feels; None if nobody looked.
+            now: state of the growth.
+            check: of the boundary; None if it was not checked.
             history: of the steps before.
             clock: counts the seconds.
 
         Returns:
-            The state, why there is none if so, and how often it was enlarged; None if
-            the patch stays as it is.
+            The state, CONVERGED or the reason why there is no valid state, and the
+            number of enlargements; None if the patch is not enlarged.
         """
         ...
 
@@ -92,11 +96,11 @@ class Choices(Protocol):
         ...
 
     def mark(self) -> None:
-        """Note where the choices stand before a step."""
+        """Store the state of the choices before a step."""
         ...
 
     def rewind(self) -> None:
-        """Go back to the mark: the step was interrupted."""
+        """Reset the choices to the mark, after an interrupted step."""
         ...
 
     def events(self, setup: Setup, result: Result) -> Events:
@@ -105,7 +109,7 @@ class Choices(Protocol):
 
 
 class Drawn:
-    """Choices that are drawn from a generator, and kept.
+    """Choices that are drawn from a generator, and recorded.
 
     Args:
         rng: the generator.
@@ -121,7 +125,7 @@ class Drawn:
 
     @classmethod
     def after(cls, events: Events, rng: np.random.Generator) -> "Drawn":
-        """Go on after choices that were made with this generator."""
+        """Make choices that continue recorded ones, with their generator."""
         drawn = cls(rng)
         drawn._start, drawn._steps = events.start, list(events.steps)
         return drawn
@@ -135,13 +139,13 @@ class Drawn:
         return start
 
     def stop(self, setup: Setup, stopping: Stopping) -> Result:
-        """Stop at the size asked for, at a bound, or where the cavity is full."""
+        """Return whether the size, a bound or a full cavity ends the growth."""
         return stop_reason(setup.lesion, stopping)
 
     def divisions(
         self, setup: Setup, now: GrowthState, count: int
     ) -> tuple[Division, ...] | None:
-        """Draw who divides, and where to."""
+        """Select the dividing particles and their directions by the lesion's rule."""
         lesion = setup.lesion
         if now.ground is not None:
             most = lesion.most_at_once(now.ground.thickness, setup.parameters)
@@ -149,11 +153,11 @@ class Drawn:
         return lesion.choose(now.state, setup.parameters, self.rng, count)
 
     def settle(self, setup: Setup, now: GrowthState, clock: Clock) -> FairingResult:
-        """Find the equilibrium, and choose how to fair it."""
+        """Find the equilibrium, and choose the operations of its fairing."""
         return settle(setup, now, clock)
 
     def after_failure(self, result: Result, history: Sequence[StepRecord]) -> Result:
-        """Call it CAVITY_FULL where no equilibrium is found any more against a wall."""
+        """Replace STEP_LIMIT by CAVITY_FULL if growth stagnated against a wall."""
         if result is Result.STEP_LIMIT and stagnates(history, STAGNATION // 2):
             return Result.CAVITY_FULL
         return result
@@ -166,7 +170,7 @@ class Drawn:
         history: Sequence[StepRecord],
         clock: Clock,
     ) -> tuple[GrowthState, Result, int] | None:
-        """Enlarge the patch where its border feels the lesion."""
+        """Enlarge the patch where the lesion acts on its boundary."""
         place = self._tight_place(setup, now, check, history)
         if place is None:
             return None
@@ -190,11 +194,11 @@ class Drawn:
         check: BoundaryCheck | None,
         history: Sequence[StepRecord],
     ) -> Float[np.ndarray, "3"] | None:
-        """Return where the patch is to be enlarged before the next step, in r0.
+        """Return the place at which the patch must be enlarged next, in r0.
 
-        If a particle left it, there is no other way. A border that feels the lesion is
-        followed a few times; what then is felt still is a stiff surface or a dense
-        tissue.
+        It must be if a particle left it. For a reaction on the boundary it is enlarged
+        `ENLARGEMENTS` times at most; a reaction that remains then is that of a stiff
+        surface or of a dense tissue.
         """
         if check is None or check.place is None:
             return None
@@ -209,12 +213,12 @@ class Drawn:
         self._steps.append(event)
 
     def mark(self) -> None:
-        """Note the generator's state, and what was kept."""
+        """Store the generator's state, and the choices kept so far."""
         kept = self._start, list(self._steps)
         self._mark = copy.deepcopy(self.rng.bit_generator.state), kept
 
     def rewind(self) -> None:
-        """Go back to the mark: the step was interrupted."""
+        """Reset generator and choices to the mark, after an interrupted step."""
         self.rng.bit_generator.state, (self._start, self._steps) = self._mark
 
     def events(self, setup: Setup, result: Result) -> Events:
@@ -223,7 +227,7 @@ class Drawn:
 
 
 class Recorded:
-    """Choices of a growth, repeated.
+    """Recorded choices of a growth, repeated.
 
     Args:
         events: of the growth.
@@ -243,7 +247,7 @@ class Recorded:
         return relax_layout(setup, layout, positions)
 
     def stop(self, setup: Setup, stopping: Stopping) -> Result:
-        """Stop after the last event, with the recorded result."""
+        """Return CONVERGED before the last event, then the recorded result."""
         if self._next < len(self._events):
             return Result.CONVERGED
         return self._events.result
@@ -264,7 +268,7 @@ class Recorded:
         return settle_again(setup, now, self._last.equilibrium, clock)
 
     def after_failure(self, result: Result, history: Sequence[StepRecord]) -> Result:
-        """Leave it as it is."""
+        """Return the result unchanged."""
         return result
 
     def enlarge(
@@ -275,7 +279,7 @@ class Recorded:
         history: Sequence[StepRecord],
         clock: Clock,
     ) -> tuple[GrowthState, Result, int] | None:
-        """Make the recorded enlargements again."""
+        """Repeat the recorded enlargements."""
         last = self._last if self._next else self._events.start
         for record in last.enlargements:
             again = enlarge_again(setup, now, record, clock)
@@ -287,14 +291,14 @@ class Recorded:
         return now, Result.CONVERGED, len(last.enlargements)
 
     def keep(self, event: Event) -> None:
-        """Keep nothing: it is recorded."""
+        """Keep nothing, as the event is in the record."""
 
     def mark(self) -> None:
-        """Note which event is next."""
+        """Store the number of the next event."""
         self._mark = self._next
 
     def rewind(self) -> None:
-        """Go back to the mark."""
+        """Reset the number of the next event to the mark."""
         self._next = self._mark
 
     def events(self, setup: Setup, result: Result) -> Events:

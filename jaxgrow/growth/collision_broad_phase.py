@@ -1,4 +1,4 @@
-"""Finding what the membrane may collide with: host lists for the device's energy."""
+"""Broad phase of collision detection: pair lists, made on the host."""
 
 from dataclasses import dataclass
 
@@ -25,25 +25,26 @@ from jaxgrow.transfer.device import get, get_number, get_surface, padded, put
 
 
 SKIN = 0.7
-"""Extra distance, in r0, up to which pairs are listed. What is near is found in this
-list on the device, so a long one is cheap: 40 divisions with the term always on take
-11.8, 10.2 and 9.6 s with 0.4, 0.7 and 1.0 (6.9 s without the term). But where a surface
-folds upon itself, pairs grow with its cube."""
+"""Extra distance, in r0, up to which pairs are listed. The device selects the near
+pairs from this list (narrow phase), so a long one is cheap: 40 divisions with the term
+always on take 11.8, 10.2 and 9.6 s with 0.4, 0.7 and 1.0 (6.9 s without the term). But
+where a surface folds upon itself, the number of pairs grows with the cube of the
+distance."""
 
 LEAST_PAIRS = 512
-"""Capacity of the lists to begin with."""
+"""Initial capacity of the lists."""
 
 CAUTION = 0.5
-"""Share of its distance at rest at which a pair of neighbours begins to repel."""
+"""Distance at which a pair of neighbours begins to repel, over that at rest."""
 
 
 @dataclass(frozen=True, eq=False)
 class CollisionFinder:
-    """Lists the colliding parts of one membrane during one relaxation.
+    """Collision broad phase of one membrane during one relaxation.
 
     Attributes:
         rest: the surface when its springs were reset.
-        names: for each of its vertices the organ's vertex that it is, or -1.
+        names: for each of its vertices the same vertex of the organ, or -1.
         walls: the rest of the organ, in r0 from the site, or None.
         collision_range: r_c, in r0.
         barrier_range: in collision ranges.
@@ -63,7 +64,7 @@ class CollisionFinder:
         walls: Walls | None,
         parameters: Parameters,
     ) -> "CollisionFinder":
-        """For a membrane whose springs have just been reset."""
+        """Make it for a membrane whose springs have just been reset."""
         return cls(
             get_surface(membrane),
             names,
@@ -75,11 +76,11 @@ class CollisionFinder:
     def __call__(
         self, vertices: Float[Array, "m 3"], before: Collisions | None
     ) -> Collisions:
-        """All pairs that matter until a vertex has moved by half of the skin.
+        """List the pairs that can interact until a vertex moves half of the skin.
 
         Args:
             vertices: of the membrane, with its padding.
-            before: a list whose capacity is to be kept, or None.
+            before: a list of the wanted capacity, or None.
         """
         least = LEAST_LISTED
         sheet = self.sheet(get(vertices), self.collision_range + SKIN)
@@ -92,16 +93,17 @@ class CollisionFinder:
         return self._put(sheet, found, vertices, before)
 
     def sheet(self, vertices: Float[np.ndarray, "m 3"], distance: float) -> Sheet:
-        """The surface with these vertices, and the walls within a distance of it."""
+        """Join the surface at these vertices to the walls near it."""
         count = len(self.rest.vertices)
         place = vertices[:count].astype(float)  # the host has 64 bits only
         now = Surface(place, self.rest.faces, self.rest.fixed)
         return join(now, self.names, self.walls, distance)
 
     def gap(self, vertices: Float[np.ndarray, "m 3"]) -> float:
-        """Smallest distance of two sheets in r0, infinite beyond the collision range.
+        """Compute the smallest distance of two sheets, in r0.
 
-        Infinite means that the collision energy of this membrane is zero.
+        It is infinite beyond the collision range; the collision energy of this membrane
+        is zero then.
         """
         within = self.collision_range
         sheet = self.sheet(vertices, within)
@@ -123,7 +125,7 @@ class CollisionFinder:
             return capacity_for(count, known)
 
         n_still = room(len(still), "still", 64)
-        # twice as many pairs of edges, always: two sizes would be more compilations
+        # always twice as many pairs of edges: two sizes would mean more compilations
         pairs = max(len(found.vertex), -(-len(found.edges) // 2))
         n_vertex = room(pairs, "vertex", LEAST_PAIRS)
         n_edge = 2 * n_vertex
@@ -154,7 +156,10 @@ class CollisionFinder:
     def _margins(
         self, sheet: Sheet, found: Encounters
     ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " q"]]:
-        """Where the barrier of each pair sets in, in collision ranges."""
+        """Compute the distance at which each pair's barrier begins.
+
+        In collision ranges.
+        """
         rest = sheet.vertices.copy()
         rest[: sheet.n_surface] = self.rest.vertices
         vertex, edge = distances_of(rest, found)

@@ -1,9 +1,9 @@
-"""The discrete choices of a growth, from which it can be replayed.
+"""Record of the discrete choices of a growth, for its replay.
 
-With other parameters a growth would choose otherwise somewhere: a particle more on one
+With other parameters some choice of a growth would be different: a particle more on one
 side, an edge split earlier, an equilibrium in another packing. Its derivative is that
-of a growth whose choices are frozen; a replay makes them again. So every event also
-keeps its equilibrium: the replay's relaxation starts there, and stays in its basin.
+of a growth with frozen choices; a replay repeats them. So every event also records its
+equilibrium: the replay's relaxation starts there, and stays in its basin.
 """
 
 from collections.abc import Iterator, Sequence
@@ -29,12 +29,12 @@ def numbers(parameters: Parameters) -> Parameters:
 
 
 class EquilibriumRecord(NamedTuple):
-    """One equilibrium, and the fairing after it.
+    """Record of one equilibrium, and of the fairing after it.
 
     Attributes:
         positions: at the equilibrium, before fairing.
         colliding: whether the collision energy was part of it.
-        remeshing: what fairing did; None without a membrane.
+        remeshing: operations of the fairing; None without a membrane.
     """
 
     positions: Positions
@@ -43,11 +43,11 @@ class EquilibriumRecord(NamedTuple):
 
 
 class PatchEnlargement(NamedTuple):
-    """An enlargement of the patch.
+    """Record of an enlargement of the patch.
 
     Attributes:
         ground: with the larger patch.
-        enlargement: what was taken in.
+        enlargement: the surface and tissue added.
         equilibrium: after it.
     """
 
@@ -57,10 +57,10 @@ class PatchEnlargement(NamedTuple):
 
 
 class Event(NamedTuple):
-    """The discrete choices of one growth step.
+    """Discrete choices of one growth step.
 
     Attributes:
-        divisions: who divided, and where to; one, or as many as the scene asks for.
+        divisions: particles and directions; one, or as many as the scene asks for.
         equilibrium: after them, with the fairing.
         enlargements: of the patch after it, mostly none.
     """
@@ -71,21 +71,21 @@ class Event(NamedTuple):
 
     @property
     def redirected(self) -> bool:
-        """Whether a polyp's daughter was not put where the rule puts it."""
+        """Whether a polyp's daughter was not placed by the paper's rule."""
         return any(d.parent < 0 and any(d.offset) for d in self.divisions)
 
     @property
     def remeshing(self) -> Remeshing | None:
-        """What fairing did; None without a membrane."""
+        """Operations of the fairing; None without a membrane."""
         return self.equilibrium.remeshing
 
 
 class InitialRecord(NamedTuple):
-    """What a growth starts from.
+    """Record of the initial state of a growth.
 
     Attributes:
         layout: of patch and tissue; None for a free cluster.
-        positions: once it was relaxed; None for a free cluster.
+        positions: after its relaxation; None for a free cluster.
         enlargements: of the patch before the first division, mostly none.
     """
 
@@ -96,16 +96,18 @@ class InitialRecord(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Events(Sequence[Event]):
-    """All events of a growth, in their order; for `jaxgrow.grow(..., events=...)`.
+    """Sequence of all events of a growth, in their order.
+
+    `jaxgrow.grow` replays it as `events`.
 
     Attributes:
-        start: what came before the first.
+        start: the initial state.
         steps: the events.
-        parameters: the growth was made with, as numbers.
+        parameters: of the growth, as numbers.
         tolerance: of its equilibria, in F(0).
         lesion: kind of the lesion.
         particle_mm: r0 in mm.
-        result: why it ended.
+        result: of the growth.
     """
 
     start: InitialRecord
@@ -124,13 +126,13 @@ class Events(Sequence[Event]):
         steps: tuple[Event, ...],
         result: Result,
     ) -> "Events":
-        """Return the choices of a growth, with what it was made with.
+        """Make the record of a growth, with its parameters and tolerance.
 
         Args:
             setup: of the growth.
-            start: what came before the first step.
+            start: the initial state.
             steps: the events.
-            result: why it ended.
+            result: of the growth.
         """
         scene = setup.scene
         return cls(
@@ -144,7 +146,7 @@ class Events(Sequence[Event]):
         )
 
     def check_scene(self, scene: Scene) -> None:
-        """Refuse to be replayed, or gone on with, in another scene.
+        """Refuse a replay or a continuation in another scene.
 
         Raises:
             ValueError: kind of lesion or size of particles differ.
@@ -162,18 +164,18 @@ class Events(Sequence[Event]):
     @overload
     def __getitem__(self, index: slice) -> Sequence[Event]: ...
     def __getitem__(self, index: int | slice) -> Event | Sequence[Event]:
-        """An event, or some of them."""
+        """Return an event, or some of them."""
         return self.steps[index]
 
     def __len__(self) -> int:
-        """Number of events."""
+        """Return the number of events."""
         return len(self.steps)
 
     @property
     def divisions(self) -> int:
-        """Number of divisions, one or more an event."""
+        """Number of divisions, one or more per event."""
         return sum(len(event.divisions) for event in self.steps)
 
     def __iter__(self) -> Iterator[Event]:
-        """The events in their order."""
+        """Iterate over the events in their order."""
         return iter(self.steps)

@@ -1,4 +1,4 @@
-"""What surrounds a lesion on the host: the organ, the site, the patch cut out of it."""
+"""Surroundings of a lesion on the host: organ, site and patch."""
 
 from dataclasses import dataclass
 
@@ -12,13 +12,13 @@ from jaxgrow.organ import Organ, Patch, Site, Tissue
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """What surrounds a lesion on the host; None throughout for a free cluster.
+    """Surroundings of a lesion on the host; a free cluster has none.
 
     Attributes:
         organ: the whole organ.
-        site: where the lesion grows.
+        site: of the lesion.
         patch: the piece of surface that is simulated.
-        walls: the rest of the organ's surface, as far as the lesion may meet it.
+        walls: the rest of the organ's surface, as far as the lesion may touch it.
         radius: of the patch along the surface, in r0.
         thickness: of the layer of tissue under it, in r0.
     """
@@ -31,7 +31,9 @@ class Ground:
     thickness: float
 
     def is_below(self, place: Float[np.ndarray, "3"]) -> bool:
-        """Return whether a place on the border is at the bottom, not at the sides.
+        """Return whether a place on the boundary is at its bottom.
+
+        Else it is at the sides.
 
         Args:
             place: in r0.
@@ -43,12 +45,12 @@ class Ground:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Patch and tissue before they are relaxed, on the host.
+    """Layout of patch and tissue before their relaxation, on the host.
 
     Attributes:
-        ground: what is around.
+        ground: the surroundings.
         surface: of the patch, with the source of a polyp.
-        organ_index: of each of its vertices the organ's vertex that it is, or -1.
+        organ_index: for each of its vertices the same vertex of the organ, or -1.
         tissue: the particles.
         species: of each of them.
     """

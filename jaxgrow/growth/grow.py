@@ -1,4 +1,4 @@
-"""Growth: iterate until the lesion has its size, or cannot (paper §4)."""
+"""Growth of a lesion until it has its size, or cannot grow (paper §4)."""
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
@@ -42,41 +42,42 @@ def grow(
     terms: ExtraTerms = (),
     after: Growth | None = None,
 ) -> Growth:
-    """Grow a lesion until it has the size, or the number of divisions, asked for.
+    """Grow a lesion to the size, or the number of divisions, asked for.
 
-    Every iteration makes the paper's steps in its order: one tumour particle divides
-    (or several, see `Lesion.divisions_per_step`), tissue and surface come to
-    equilibrium (here together, see `jaxgrow.relax`), the surface is faired, and its
+    Every iteration makes the paper's four phases (§4) in its order: one tumour particle
+    divides (or several, see `Lesion.divisions_per_step`); tissue and surface reach
+    equilibrium (here together, see `jaxgrow.relax`); the surface is faired; and its
     springs get their current length as new rest length.
 
-    What goes wrong is mended where it can be: an equilibrium that is not found, or
-    that threw particles out, is tried again from its start with shorter steps; lists
-    that overflow are made larger; a fairing that fails the exact check is left out;
-    sheets that meet begin to repel each other; a patch that feels the lesion is
-    enlarged. `Growth.mended` counts it. Otherwise the growth ends with its name.
+    Recovery from failures: an equilibrium that is not found, or that ejected particles,
+    is tried again from its start with shorter steps; lists that overflow are enlarged;
+    a fairing that fails the exact check is omitted; sheets that approach each other
+    begin to repel; a patch with a reaction on its boundary is enlarged.
+    `Growth.mended` counts these. After any other failure the growth ends, and its
+    result names it.
 
     *Derivatives.* `jax.grad`, `jax.jvp`, `jax.jacfwd` and `jax.jacrev` of any function
-    of the state, and of `size_mm`, go through all of it, with respect to the
-    parameters: `jacfwd` solves once for each of them in every equilibrium, `jacrev`
-    for each result. The discrete choices (who divides, which
-    edge is split, which packing an equilibrium is in) are frozen, and each equilibrium
-    has its implicit derivative (`jaxgrow.relax`), for which it is relaxed to 1e-10 at
-    least. `events` replays the choices of a growth: with its parameters bit for bit,
-    with others as the frozen path along which the derivative is taken.
+    of the state, and of `size_mm`, differentiate the whole growth with respect to the
+    parameters: in every equilibrium, `jacfwd` solves once for each parameter, `jacrev`
+    once for each result. The discrete choices (which particle divides, which edge is
+    split, which packing an equilibrium is in) are frozen, and each equilibrium has its
+    implicit derivative (`jaxgrow.relax`), for which it is relaxed to 1e-10 at least.
+    `events` replays the choices of a growth: with its parameters bit for bit, with
+    others as the frozen path along which the derivative is taken.
 
     *Gradient behaviour.* The choices do change with the parameters, so the response of
     a growth is piecewise smooth, with small pieces: lesions of 20 divisions whose
     spring stiffness differs by a quarter differ in height by 0.15 mm, while lesions
-    scatter around their trend by 0.19 mm. The gradient is that of the piece, and misses
-    what other choices do: averaged over 4 seeds and a decade of stiffness it is 0.2
-    (sphericity) to 0.4 (height, area) times the slope of the trend. Its sign is that of
-    the trend at all but 0 to 11 % of the values for one seed, and for the mean of 4 at
-    all that have 4. So take its direction, averaged over seeds, and let lesions that
-    are grown anew tell the length of a step, as `jaxgrow.fit` does. Figures are those
-    of ``experiments/gradient_quality.py sweep``.
+    scatter around their trend by 0.19 mm. The gradient is that of the piece, and omits
+    the effect of changed choices: averaged over 4 seeds and a decade of stiffness it is
+    0.2 (sphericity) to 0.4 (height, area) times the slope of the trend. Its sign is
+    that of the trend at all but 0 to 11 % of the values for one seed, and for the mean
+    of 4 at all that have 4. So use its direction, averaged over seeds, and determine
+    the length of a step from newly grown lesions, as `jaxgrow.fit` does. Figures are
+    those of ``experiments/gradient_quality.py sweep``.
 
     Args:
-        scene: what to grow, and where; may be left out with `after`.
+        scene: organ, lesion and parameters; may be left out with `after`.
         seed: of all random choices; the same seed gives the same growth.
         parameters: of the mechanics: by name, those that differ from the scene's (so
             that a myoma keeps the others of its kind), or all of them.
@@ -86,27 +87,26 @@ def grow(
         max_seconds: bound on the time; checked between divisions.
         progress: called after every step with a `Progress`, which has the state. If
             it returns True, the growth ends there: STOPPED.
-        events: of a growth to replay; then seed and bounds do not matter. Record it at
+        events: of a growth to replay; seed and bounds are ignored then. Record it at
             `tolerance=1e-10` if you replay it with other parameters.
         terms: energies besides those of jaxgrow, see `jaxgrow.relax`.
-        after: a growth that goes on, with the same bits as if it had not ended (to the
-            tolerance, if it comes from another process); `scene` may ask for another size or number of divisions, if its particles have the
-            same size. Seed, parameters, tolerance and terms are those that it began
-            with.
+        after: a growth to continue, with the same bits as if it had not ended (to the
+            tolerance, if it comes from another process); `scene` may ask for another
+            size or number of divisions, if its particles have the same size. Seed,
+            parameters, tolerance and terms are those of `after`.
 
     Returns:
-        The growth. Its result is REACHED, or says why it ended before that, with the
+        The growth. Its result is REACHED, or the reason of an earlier end, with the
         last equilibrium as its state: DIVISION_LIMIT, TIME_LIMIT, STOPPED (by
-        `progress`), CAVITY_FULL (against
-        its walls the lesion no longer grows), PATCH_TOO_SMALL (the organ has no more
-        surface), INTERSECTION, SLIVER, EVAPORATED, STEP_LIMIT, NON_FINITE or
-        ON_MEMBRANE.
+        `progress`), CAVITY_FULL (the lesion no longer grows against the walls),
+        PATCH_TOO_SMALL (the organ has no more surface), INTERSECTION, SLIVER,
+        EVAPORATED, STEP_LIMIT, NON_FINITE or ON_MEMBRANE.
 
     Raises:
         OrganError: the organ or the site cannot be used.
         ValueError: JAX computes in 32 bits, the tolerance is not positive, the
-            events or `after` are those of another scene, or a second derivative is
-            taken (`jax.hessian`) or values are withheld (`jax.jit`, `jax.checkpoint`,
+            events or `after` are those of another scene, a second derivative is taken
+            (`jax.hessian`), or values are not concrete (`jax.jit`, `jax.checkpoint`,
             `jax.vmap`).
         GrowthInterrupted: Ctrl-C, with the growth up to then.
         RuntimeError: this process was forked from one that had grown something.
@@ -162,10 +162,10 @@ def grow(
 
 
 class GrowthInterrupted(KeyboardInterrupt):
-    """Ctrl-C during a growth.
+    """Interrupt of a growth by Ctrl-C.
 
     Attributes:
-        growth: up to the last step that was complete; ``grow(after=growth)`` goes on.
+        growth: up to the last complete step; ``grow(after=growth)`` continues it.
     """
 
     def __init__(self, growth: Growth) -> None:
@@ -180,7 +180,7 @@ def _setup(
     events: Events | None,
     terms: ExtraTerms,
 ) -> Setup:
-    """Return what all steps have in common."""
+    """Make the setup of a growth, common to all its steps."""
     if scene is None:
         raise ValueError("nothing to grow: give a scene, or after= a growth.")
     arrays = as_arrays(_parameters(scene, parameters), jnp.float64)
@@ -196,7 +196,7 @@ def _setup(
 
 
 def _go_on(after: Growth, scene: Scene | None) -> tuple[Setup, Reached, Drawn]:
-    """Return where a growth goes on, perhaps to another size."""
+    """Prepare the continuation of a growth, possibly to another size."""
     if after.continuation is None:
         raise ValueError(
             "this growth cannot go on: it is a replay, or a derivative was taken; grow "
@@ -225,10 +225,12 @@ def _go_on(after: Growth, scene: Scene | None) -> tuple[Setup, Reached, Drawn]:
 def tolerance_of_replay(
     events: Events, parameters: Parameters, tolerance: float | None
 ) -> float:
-    """The tolerance asked for, or the recorded one; exact for other parameters.
+    """Choose the tolerance of a replay.
 
-    With the recorded parameters every recorded equilibrium is one again. With others
-    a tolerance like the recorded one would find that they still are, unmoved.
+    It is the one asked for, or else the recorded one; with other parameters, or for a
+    derivative, it is `exact_tolerance` at most. With the recorded parameters every
+    recorded equilibrium is one again. With others, a tolerance like the recorded one
+    could accept it unmoved.
     """
     wanted = events.tolerance if tolerance is None else tolerance
     same = numbers(parameters) == events.parameters
@@ -240,7 +242,7 @@ def tolerance_of_replay(
 def _parameters(
     scene: Scene, given: Parameters | Mapping[str, Scalar] | None
 ) -> Parameters:
-    """The scene's parameters, or those given instead of some or all of them."""
+    """Merge the given parameters into the scene's, or replace those."""
     if isinstance(given, Mapping):
         check_names(given, [field.name for field in fields(Parameters)])
         return replace(scene.parameters, **given)

@@ -1,4 +1,4 @@
-"""The record of each step of a growth, and what a progress bar is told."""
+"""History of a growth: one record per step."""
 
 from dataclasses import dataclass, field, fields
 from typing import Any
@@ -12,28 +12,28 @@ from jaxgrow.transfer.device import get
 
 @dataclass(frozen=True, eq=False)
 class StepRecord:
-    """What happened in one step of a growth.
+    """Record of one step of a growth.
 
     ``pandas.DataFrame(growth.history)`` makes a table of all records.
 
     Attributes:
         division: number of its last division.
-        size_mm: largest diameter of the lesion after it; of all this it alone has a
+        size_mm: largest diameter of the lesion after it; the only field with a
             derivative.
         residual: largest force left, in F(0).
         steps: of the relaxation.
-        method: that ended the relaxation.
+        method: last method of the relaxation.
         result: name of the `Result`: CONVERGED, or why there is no valid state.
-        particles: alive.
-        tumour: particles of it.
-        vertices: of the membrane; None without one, like what follows.
-        faces: of the membrane.
+        particles: number alive.
+        tumour: number of tumour particles.
+        vertices: number of the membrane's; None without a membrane, like those below.
+        faces: number of the membrane's.
         colliding: whether the collision energy was part of the equilibrium.
         quality: least radius ratio of a triangle.
-        operations: of the fairing, by name.
+        operations: of the fairing, counted by name.
         border_force: largest change of the force on a held particle, in F(0).
-        border_distance: of the nearest tumour particle to what is held, in r0.
-        mended: what went wrong and was mended, how often, by name.
+        border_distance: of the nearest tumour particle to the boundary, in r0.
+        mended: recoveries from failures, counted by name.
         seconds: by phase.
     """
 
@@ -76,12 +76,12 @@ def make_record(
 
     Args:
         state: after it; the one before it, if it failed.
-        settled: how it ended.
-        check: what the border of the patch felt; None if nobody looked.
+        settled: its equilibrium and fairing.
+        check: of the patch's boundary; None if it was not checked.
         division: number of its last division.
         size_mm: of the lesion after it.
         result: name of the `Result`.
-        mended: besides what was mended in finding the equilibrium.
+        mended: recoveries besides those in `settled`.
         seconds: by phase.
     """
     particles, membrane = state.particles, state.membrane

@@ -1,4 +1,4 @@
-"""The state that growth starts from, made from a scene."""
+"""Initial state of a growth, made from a scene."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,13 +38,13 @@ from jaxgrow.transfer.device import (
 
 @dataclass(frozen=True, eq=False)
 class InitialState:
-    """The start of a growth.
+    """Initial state of a growth.
 
     Attributes:
         state: relaxed, springs at rest.
-        layout: None for a free cluster.
+        layout: of patch and tissue; None for a free cluster.
         outcome: of the relaxation of the tissue; None for a free cluster.
-        border: what is held around the patch; None for a free cluster.
+        border: boundary of the patch; None for a free cluster.
     """
 
     state: State
@@ -54,7 +54,7 @@ class InitialState:
 
     @property
     def ground(self) -> Ground | None:
-        """What is around; None for a free cluster."""
+        """Surroundings of the lesion; None for a free cluster."""
         return None if self.layout is None else self.layout.ground
 
     def growth_state(self) -> GrowthState:
@@ -71,7 +71,7 @@ class InitialState:
 
 
 def find_organ(scene: Scene) -> Organ | None:
-    """The scene's organ, made or read."""
+    """Make or read the scene's organ."""
     if scene.organ is None or isinstance(scene.organ, Organ):
         return scene.organ
     if scene.organ == "uterus":
@@ -81,15 +81,17 @@ def find_organ(scene: Scene) -> Organ | None:
 
 
 def make_initial_state(setup: Setup, rng: np.random.Generator) -> InitialState:
-    """Cut the patch out, fill tissue in and relax it, and place the first tumour.
+    """Make the initial state: cut the patch, fill tissue in and relax it.
+
+    The tissue holds the seed of the lesion.
 
     Args:
-        setup: what to grow.
+        setup: of the growth.
         rng: draws the tissue.
 
     Raises:
         OrganError: the organ or the site cannot be used.
-        SceneError: the tissue lifts the surface by itself.
+        SceneError: the tissue alone lifts the surface.
     """
     scene = setup.scene
     organ = find_organ(scene)
@@ -104,7 +106,7 @@ def make_initial_state(setup: Setup, rng: np.random.Generator) -> InitialState:
 
 
 def make_free_cluster(scene: Scene) -> InitialState:
-    """Make the start of a free cluster: one particle."""
+    """Make the initial state of a free cluster: one particle."""
     divisions = scene.lesion.divisions
     spare = SPARE if divisions is None else divisions
     particles = put_particles(
@@ -118,12 +120,12 @@ def make_free_cluster(scene: Scene) -> InitialState:
 
 
 def _rounded(count: int) -> int:
-    """A capacity that other seeds have too, so that they use the same programs."""
+    """Return a rounded capacity, so that other seeds use the same programs."""
     return -(-count // SPARE) * SPARE
 
 
 def meeting_distance(scene: Scene, radius: float) -> float:
-    """Distance from the site, in r0, beyond which a lesion meets nothing."""
+    """Return the distance from the site, in r0, that a lesion cannot reach."""
     target = scene.lesion.target_mm
     if target is None:
         return float("inf")
@@ -137,7 +139,7 @@ def build_layout(
     contact_range: float,
     rng: np.random.Generator,
 ) -> Layout:
-    """Cut the patch out of the organ, and fill in the tissue under it."""
+    """Cut the patch out of the organ, and fill the tissue under it."""
     around, r0_mm = scene.surroundings, scene.r0_mm
     radius, thickness = scene.lesion.extent()
     radius, thickness = around.radius or radius, around.thickness or thickness
@@ -167,9 +169,10 @@ def relax_layout(
     """Relax patch and tissue.
 
     Args:
-        setup: what grows.
+        setup: of the growth.
         layout: of both.
-        start: where to begin, of a growth that is replayed; None for the layout.
+        start: positions to begin with, of a growth that is replayed; None for those of
+            the layout.
     """
     scene = setup.scene
     tissue = layout.tissue

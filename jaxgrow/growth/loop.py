@@ -1,4 +1,4 @@
-"""The growth loop: step after step, until it ends (paper §4)."""
+"""Growth loop: steps until the growth ends (paper §4)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -21,13 +21,13 @@ Watch = Callable[[Progress], object]
 
 @dataclass(frozen=True, eq=False)
 class Reached:
-    """How far a growth has come.
+    """State of a growth between two steps, with its history.
 
     Attributes:
         now: the last equilibrium.
-        result: CONVERGED if it may go on; else why it ended.
+        result: CONVERGED if it may continue; else why it ended.
         history: of its steps.
-        divisions: made so far.
+        divisions: number made so far.
     """
 
     now: GrowthState
@@ -37,7 +37,7 @@ class Reached:
 
 
 def start_growth(setup: Setup, choices: Choices, clock: Clock) -> Reached:
-    """Make the state that growth starts from.
+    """Make the initial state, on a patch that is large enough.
 
     Args:
         setup: of the growth.
@@ -65,11 +65,11 @@ def run_loop(
 
     Args:
         setup: of the growth.
-        reached: where it stands; it goes on if its result is CONVERGED.
+        reached: its state; it continues if its result is CONVERGED.
         choices: drawn or recorded.
-        bounds: where it ends in any case.
+        bounds: of divisions and time.
         clock: counts the seconds.
-        watch: is shown every step, and may end the growth.
+        watch: called after every step; it may end the growth.
     """
     size = measure(setup, reached.now, clock)
     choices.mark()
@@ -100,7 +100,7 @@ def run_loop(
 def _next(
     setup: Setup, reached: Reached, choices: Choices, bounds: GrowthLimits, clock: Clock
 ) -> tuple[Reached, StepRecord | None]:
-    """Make one step; without a record if there is no room for a division."""
+    """Make one step; its record is None if there is no room for a division."""
     lesion, history = setup.lesion, reached.history
     left = min(lesion.divisions or bounds.divisions, bounds.divisions)
     count = min(lesion.divisions_per_step, left - reached.divisions)
@@ -136,6 +136,6 @@ def _next(
 
 
 def measure(setup: Setup, now: GrowthState, clock: Clock) -> Scalar:
-    """Return the largest diameter of the lesion, in mm."""
+    """Measure the largest diameter of the lesion, in mm."""
     with clock.phase("measure"):
         return setup.lesion.size(now.state) * setup.scene.r0_mm

@@ -1,4 +1,4 @@
-"""A larger patch under a running growth, where its border feels the lesion."""
+"""Enlargement of the patch during a growth, for reactions on its boundary."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -31,18 +31,18 @@ from jaxgrow.transfer.device import (
 
 
 WIDER, DEEPER = 2.0, 1.0
-"""By how much radius or thickness of a patch grow when it is enlarged, in r0."""
+"""Increase of a patch's radius, or of its thickness, by an enlargement, in r0."""
 
 
 class EnlargedPatch(NamedTuple):
-    """A growth on a larger patch.
+    """State of a growth on a larger patch.
 
     Attributes:
-        state: what there was first, in its order and its place, then what is new; not
+        state: the former nodes first, in their order and place, then the new ones; not
             in equilibrium, springs at rest.
         ground: with the larger patch, and the rest of the organ around that.
-        organ_index: for each membrane vertex the organ's vertex that it was, or -1.
-        enlargement: what was taken in, to replay it.
+        organ_index: for each membrane vertex the same vertex of the organ, or -1.
+        enlargement: the added parts, for a replay.
     """
 
     state: State
@@ -63,25 +63,25 @@ def enlarge_ground(
     contact_range: float,
     rng: np.random.Generator,
 ) -> EnlargedPatch:
-    """Take more of the organ into a growth whose patch is too small.
+    """Enlarge the patch of a state by more of the organ's surface and tissue.
 
     See `jaxgrow.organ.enlarge`. Relax the result before the next division, with new
     lists, as particles and faces have been added.
 
     Args:
         state: of the growth, with a membrane.
-        ground: it stands on.
+        ground: its surroundings.
         organ_index: of its membrane.
         radius: of the new patch, in r0; it grows by a row of triangles at least.
         thickness: of the new layer of tissue, in r0.
-        meeting_distance: distance from the site, in r0, up to which the lesion may meet
-            the rest of the organ.
+        meeting_distance: distance from the site, in r0, up to which the lesion may
+            touch the rest of the organ.
         surroundings: density of the tissue, and size of the triangles.
         contact_range: distance of new tissue to the membrane, in r0.
         rng: draws the new tissue.
 
     Raises:
-        OrganError: the organ has no more to give, or the state cannot be enlarged.
+        OrganError: the organ has no more surface, or the state cannot be enlarged.
     """
     assert state.membrane is not None
     alive = get(state.particles.alive)
@@ -123,19 +123,19 @@ def enlarge_patch(
     rng: np.random.Generator,
     clock: Clock,
 ) -> tuple[GrowthState, PatchEnlargement] | Result:
-    """Enlarge the patch around the same lesion, and find the equilibrium there.
+    """Enlarge the patch around a lesion, and find the new equilibrium.
 
     Args:
         setup: of the growth.
-        now: where it stands.
-        place: where its border feels the lesion, in r0: near the axis the layer of
-            tissue becomes thicker, elsewhere the patch wider.
+        now: its state.
+        place: of the reaction on the boundary, in r0: near the axis the layer of tissue
+            is thickened, elsewhere the patch is widened.
         rng: draws the new tissue.
         clock: counts the seconds.
 
     Returns:
-        The state and the record of it, or PATCH_TOO_SMALL if the organ has no more to
-        give, or why the wider patch did not come to equilibrium.
+        The state and the record of it; or PATCH_TOO_SMALL if the organ has no more
+        surface, or the result of the failed search for an equilibrium.
     """
     ground, scene = now.ground, setup.scene
     assert ground is not None
@@ -167,11 +167,11 @@ def enlarge_patch(
 def enlarge_again(
     setup: Setup, now: GrowthState, record: PatchEnlargement, clock: Clock
 ) -> FairingResult:
-    """Make a recorded enlargement of the patch again.
+    """Repeat a recorded enlargement of the patch.
 
     Args:
         setup: of the growth.
-        now: where it stands.
+        now: its state.
         record: of the enlargement.
         clock: counts the seconds.
     """
@@ -186,7 +186,7 @@ def enlarge_again(
 
 
 def _placed(now: GrowthState, wider: EnlargedPatch) -> GrowthState:
-    """Return the growth on a larger patch, not in equilibrium."""
+    """Return the state of a growth on a larger patch, not in equilibrium."""
     return replace(
         now,
         state=wider.state,
@@ -198,10 +198,10 @@ def _placed(now: GrowthState, wider: EnlargedPatch) -> GrowthState:
 
 
 def put_enlarged(state: State, enlargement: Enlargement) -> State:
-    """The state with an enlargement in it.
+    """Put an enlargement into a state on the device.
 
-    Positions that there were stay on the device, with their derivatives. There is room
-    for as many more particles as before.
+    The former positions stay on the device, with their derivatives. The number of free
+    slots for particles is the same as before.
     """
     assert state.membrane is not None
     count = int(get(state.membrane.vertex_alive).sum())
@@ -219,7 +219,7 @@ def put_enlarged(state: State, enlargement: Enlargement) -> State:
 
 
 def _with_tissue(particles: Particles, enlargement: Enlargement) -> Particles:
-    """The particles with the new tissue behind them; tumour is never held."""
+    """Add the new tissue after the particles; tumour particles are never held."""
     tissue = enlargement.tissue
     first, more = len(enlargement.held), len(tissue.points)
     particles = with_capacity(particles, particles.position.shape[0] + more)

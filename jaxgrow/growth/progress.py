@@ -1,4 +1,4 @@
-"""What is shown of a running growth."""
+"""Progress of a running growth."""
 
 from typing import NamedTuple
 
@@ -10,10 +10,10 @@ from jaxgrow.transfer.device import get_number
 
 
 class Progress(NamedTuple):
-    """Where a running growth stands.
+    """Progress of a running growth after a step.
 
     Attributes:
-        divisions: made so far.
+        divisions: number made so far.
         size_mm: largest diameter of the lesion now, without a derivative.
         target_mm: size asked for, or None.
         target_divisions: divisions asked for, or None.
@@ -34,13 +34,13 @@ class Progress(NamedTuple):
 def make_progress(
     scene: Scene, state: State, record: StepRecord, clock: Clock
 ) -> Progress:
-    """Make what is shown after a step.
+    """Make the progress after a step.
 
     Args:
-        scene: what grows.
+        scene: of the growth.
         state: after the step.
         record: of the step.
-        clock: knows the seconds since the start.
+        clock: has the seconds since the start.
     """
     return Progress(
         divisions=record.division,

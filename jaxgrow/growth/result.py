@@ -1,4 +1,4 @@
-"""What a growth returns: state, result, history, and the organ's mesh with it."""
+"""Outcome of a growth: state, result, history, and the organ's mesh."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 
 
 class Continuation(NamedTuple):
-    """What a growth needs to go on.
+    """State from which a growth can be continued.
 
     Attributes:
-        setup: that it was made with.
-        reached: how far it came.
+        setup: of the growth.
+        reached: its last state and its history.
         generator: state of its random generator.
     """
 
@@ -43,30 +43,30 @@ class Continuation(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Growth:
-    """A grown lesion.
+    """Grown lesion: state, result and history.
 
-    Where a derivative is taken, state and size carry it. What is made on the host
-    (`particles`, `merged`, `surface`, `mesh`, and so what is audited, drawn or written)
-    has none, and is refused there.
+    Under differentiation, state and size carry the derivative. Everything that is
+    computed on the host (`particles`, `merged`, `surface`, `mesh`, and so the audit,
+    pictures and files) has none, and raises then.
 
     Attributes:
-        scene: what was asked for.
+        scene: organ, lesion and parameters.
         seed: of all random choices.
         tolerance: largest force left in every equilibrium, in F(0).
         state: at the end; lengths in r0.
         result: why it ended.
-        size_mm: largest diameter of the lesion; where a derivative is taken it is a
-            JAX scalar that carries it, with the two ends of the diameter held fast.
+        size_mm: largest diameter of the lesion; under differentiation it is a JAX
+            scalar that carries the derivative, for the fixed pair of its end points.
         events: the discrete choices of every step; `jaxgrow.grow` can replay them.
-        history: one record a step; a table of them is
+        history: one record per step; a table of them is
             ``pandas.DataFrame(growth.history)``.
         seconds: by phase.
         compilations: number of programs compiled.
-        descents: which path they ran on.
-        ground: the organ around it; None for a free cluster.
-        organ_index: for each membrane vertex alive the organ's vertex it was, or -1.
-        continuation: what `jaxgrow.grow` needs to go on; None for a replay, and where a
-            derivative was taken.
+        descents: number of descents on each path.
+        ground: surroundings of the lesion; None for a free cluster.
+        organ_index: for each membrane vertex alive the same vertex of the organ, or -1.
+        continuation: state from which `jaxgrow.grow` can continue; None for a replay,
+            and under differentiation.
     """
 
     scene: Scene
@@ -88,12 +88,12 @@ class Growth:
 
     @property
     def mended(self) -> dict[str, int]:
-        """What went wrong on the way and was mended, how often.
+        """Number of recoveries from failures, by name.
 
-        "overflows" of lists that were made larger, "retried_after_…" of relaxations
-        that were rolled back, "fairing_rejected", "patch_enlarged",
-        "daughter_redirected" where the rule would have put a polyp's new particle out
-        of the tissue, and "collisions_joined" when sheets of the surface first met.
+        "overflows" of lists that were enlarged, "retried_after_…" for relaxations that
+        were rolled back, "fairing_rejected", "patch_enlarged", "daughter_redirected" if
+        the paper's rule would have placed a polyp's new particle outside the tissue,
+        and "collisions_joined" when sheets of the surface first met.
         """
         total: Counter[str] = Counter()
         for record in self.history:
@@ -102,16 +102,18 @@ class Growth:
 
     @property
     def organ(self) -> Organ | None:
-        """The organ before growth."""
+        """Organ before growth; None for a free cluster."""
         return None if self.ground is None else self.ground.organ
 
     @property
     def site(self) -> Site | None:
-        """Where the lesion grew."""
+        """Site of the lesion; None for a free cluster."""
         return None if self.ground is None else self.ground.site
 
     def particles(self) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
-        """Positions in mm, in the organ's coordinates, and species of the living.
+        """Return positions (mm) and species of the particles alive.
+
+        The positions are in the organ's coordinates.
 
         Raises:
             ValueError: a derivative is being taken.
@@ -122,7 +124,7 @@ class Growth:
         return get(frame.origin) + float(frame.particle_mm) * position, species
 
     def merged(self) -> Merged:
-        """The whole organ with the grown patch in place of the original one.
+        """Merge the grown patch into the whole organ, in place of the former one.
 
         Raises:
             ValueError: the cluster grew freely, so there is no organ, or a derivative
@@ -149,7 +151,9 @@ class Growth:
     ) -> tuple[
         Float[np.ndarray, "m 3"], Int[np.ndarray, "f 3"], UInt8[np.ndarray, " m"]
     ]:
-        """Vertices (mm), faces and labels (0 healthy, 1 lesion) of the whole organ.
+        """Return vertices (mm), faces and labels of the whole organ.
+
+        Label 0 is healthy, 1 is the lesion.
 
         Raises:
             ValueError: the cluster grew freely, so there is no organ, or a derivative
@@ -161,7 +165,9 @@ class Growth:
         return merged.vertices, merged.faces, label
 
     def mesh(self) -> "trimesh.Trimesh":
-        """The whole organ with the lesion; `vertex_attributes["label"]` marks it.
+        """Make a trimesh of the whole organ with the lesion.
+
+        `vertex_attributes["label"]` is 1 on the lesion, else 0.
 
         Raises:
             ValueError: the cluster grew freely, so there is no organ, or a derivative
@@ -175,7 +181,7 @@ class Growth:
         )
 
     def __repr__(self) -> str:
-        """What grew, how it ended, and how large it is, in one line."""
+        """Describe lesion, size and result in one line."""
         size = get_number(self.size_mm)
         divisions = sum(len(event.divisions) for event in self.events)
         return (

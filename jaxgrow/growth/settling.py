@@ -1,6 +1,7 @@
-"""Between two divisions: adapt tissue and surface, fair the surface, reset its springs.
+"""Phases between two divisions: equilibrium, fairing and spring reset.
 
-Phases 2 to 4 of the paper's loop (§4), chosen here or repeated from a record.
+Phases 2 (adapt the tissues), 3 (adapt the surface) and 4 (fair the surface) of the
+paper's loop (§4), with choices made here or repeated from a record.
 """
 
 from dataclasses import dataclass, replace
@@ -33,18 +34,19 @@ from jaxgrow.transfer.device import (
 
 
 WALL_DISTANCE = 3.0
-"""Walls up to this distance (r0) from the surface are looked at by fairing."""
+"""Distance (r0) from the surface up to which fairing avoids walls."""
 
 
 @dataclass(frozen=True, eq=False)
 class FairingResult:
-    """An equilibrium that was faired.
+    """Outcome of `settle`: an equilibrium that was faired.
 
     Attributes:
-        now: afterwards; what was given, if the result is not CONVERGED.
+        now: afterwards; the given state, if the result is not CONVERGED.
         result: CONVERGED, or why there is no valid state.
-        found: the equilibrium, and how it was found.
-        remeshing: what fairing did; None without a membrane, and if that failed.
+        found: the equilibrium, with its relaxation.
+        remeshing: operations of the fairing; None without a membrane, and after a
+            failure.
         quality: least radius ratio of the surface's triangles; 1 without a membrane.
     """
 
@@ -56,23 +58,24 @@ class FairingResult:
 
     @property
     def record(self) -> EquilibriumRecord:
-        """What is needed to do it again."""
+        """Record of the equilibrium and its fairing, for a replay."""
         state = self.found.state
         positions = get_positions(state.particles, state.membrane)
         return EquilibriumRecord(positions, self.found.colliding, self.remeshing)
 
     @property
     def mended(self) -> dict[str, int]:
-        """What went wrong and was mended, how often."""
+        """Number of recoveries from failures, by name."""
         counts = {} if self.remeshing is None else self.remeshing.counts
         rejected = {n: c for n, c in counts.items() if n == "fairing_rejected"}
         return {**self.found.mended, **rejected}
 
 
 def settle(setup: Setup, now: GrowthState, clock: Clock) -> FairingResult:
-    """2., 3. and 4. Find the equilibrium, fair the surface, reset its springs.
+    """Find the equilibrium, fair the surface and reset its springs.
 
-    If the equilibrium intersects itself, it is sought again with collisions.
+    These are phases 2 to 4 of the paper's §4. If the surface intersects itself at
+    equilibrium, the equilibrium is computed again with the collision energy.
 
     Args:
         setup: of the growth.
@@ -100,7 +103,7 @@ def settle(setup: Setup, now: GrowthState, clock: Clock) -> FairingResult:
 def settle_again(
     setup: Setup, now: GrowthState, record: EquilibriumRecord, clock: Clock
 ) -> FairingResult:
-    """Find a recorded equilibrium again, with the recorded fairing.
+    """Repeat a recorded equilibrium, with the recorded fairing.
 
     Args:
         setup: of the growth; its parameters may differ from those of the record.
@@ -123,7 +126,10 @@ def _faired(
     remeshing: Remeshing | None,
     least_quality: float,
 ) -> FairingResult:
-    """Fair an equilibrium; all springs are assigned their current length."""
+    """Apply a fairing, and reset all springs to their current length.
+
+    This is phase 4 of the paper's §4.
+    """
     after = replace(
         now,
         state=found.state,
@@ -151,21 +157,21 @@ def choose_fairing(
     organ_index: Int[np.ndarray, " m"],
     walls: Walls | None,
 ) -> Remeshing | None:
-    """Choose how to fair the surface, on the host.
+    """Choose the fairing operations of the surface, on the host.
 
-    Every operation is tested before it is made; the whole is tested once more here,
-    exactly and independently: that no particle lies in the volume between the surface
-    before and after, and that the surface meets neither itself nor a wall. If that
-    fails, the surface stays as it is ("fairing_rejected" in the counts).
+    Every operation is tested before it is made. The result is tested here once more, by
+    exact and independent checks: that no particle lies in the volume between the
+    surface before and after, and that the surface intersects neither itself nor a wall.
+    If one fails, the surface stays unchanged ("fairing_rejected" in the counts).
 
     Args:
-        surroundings: size of the triangles, and whether collisions are looked at.
+        surroundings: size of the triangles, and whether collisions are checked.
         state: with a membrane.
-        organ_index: of each vertex the organ's vertex that it is, or -1.
+        organ_index: for each vertex the same vertex of the organ, or -1.
         walls: the rest of the organ.
 
     Returns:
-        What to do; None if the surface intersects itself or a wall already without.
+        The operations; None if the surface intersects itself or a wall before fairing.
     """
     assert state.membrane is not None
     position, _ = get_particles(state.particles)
@@ -195,7 +201,7 @@ def choose_fairing(
 def _renamed(
     organ_index: Int[np.ndarray, " m"], remeshing: Remeshing
 ) -> Int[np.ndarray, " k"]:
-    """Return the organ's vertex that each vertex is after a remeshing, or -1."""
+    """Return each vertex's index in the organ after a remeshing, or -1."""
     origin = remeshing.origin()
     return np.where(origin >= 0, organ_index[origin], -1)
 
@@ -203,5 +209,5 @@ def _renamed(
 def _intersects(
     surface: Surface, index: Int[np.ndarray, " m"], walls: Walls | None
 ) -> bool:
-    """Return whether triangles of the surface meet each other, or a wall."""
+    """Return whether the surface intersects itself, or a wall."""
     return len(join(surface, index, walls, 0.0).self_intersections()) > 0

@@ -1,4 +1,4 @@
-"""What a growth is made with, and where it stands between two divisions."""
+"""Setup of a growth, and its state between two divisions."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -21,15 +21,15 @@ from jaxgrow.transfer.device import get_surface
 
 LEAST_QUALITY = 0.01
 """Least radius ratio 2 r_in / r_circ of a triangle of a valid surface; half of the
-organ's least, if that is less. Repair sets in at 0.15, see `jaxgrow.mesh.repair`."""
+organ's least, if that is less. Repair begins at 0.15, see `jaxgrow.mesh.repair`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """What all steps of a growth have in common.
+    """Setup of a growth, common to all its steps.
 
     Attributes:
-        scene: what grows.
+        scene: organ, lesion and parameters.
         parameters: of the energy, as arrays.
         tolerance: largest force left in an equilibrium, in F(0).
         terms: of the energy, besides those of jaxgrow.
@@ -42,22 +42,22 @@ class Setup:
 
     @property
     def lesion(self) -> Lesion:
-        """The lesion asked for, which knows its rule."""
+        """Lesion asked for, with its rule."""
         return self.scene.lesion
 
 
 @dataclass(frozen=True, eq=False)
 class GrowthState:
-    """The state between two divisions, with what is carried along on the host.
+    """State between two divisions, with its data on the host.
 
     Attributes:
         state: an equilibrium, springs reset.
-        organ_index: of each vertex alive the organ's vertex that it is, or -1.
+        organ_index: for each vertex alive the same vertex of the organ, or -1.
         lists: of the last relaxation; None before the first.
-        ground: what is around; None for a free cluster.
-        colliding: whether sheets of the surface have come near each other.
-        border: what is held around the patch, before growth; None for a free cluster.
-        least_quality: radius ratio that no triangle may fall below.
+        ground: surroundings of the lesion; None for a free cluster.
+        colliding: whether sheets of the surface have approached each other.
+        border: boundary of the patch before growth; None for a free cluster.
+        least_quality: least radius ratio that a triangle may have.
     """
 
     state: State
@@ -74,12 +74,12 @@ class GrowthState:
 
     @property
     def walls(self) -> Walls | None:
-        """The rest of the organ."""
+        """Rest of the organ's surface; None for a free cluster."""
         return None if self.ground is None else self.ground.walls
 
 
 def min_radius_ratio(state: State) -> float:
-    """Return the least radius ratio of the surface's triangles; 1 if there is none."""
+    """Return the least radius ratio of the surface's triangles; 1 if none."""
     if state.membrane is None:
         return 1.0
     surface = get_surface(state.membrane)
@@ -88,5 +88,8 @@ def min_radius_ratio(state: State) -> float:
 
 
 def quality_bound(state: State) -> float:
-    """Return the least quality that is asked for from here on: `LEAST_QUALITY`."""
+    """Return the least radius ratio required from this state on.
+
+    `LEAST_QUALITY`, or half of the current least, if that is less.
+    """
     return min(LEAST_QUALITY, 0.5 * min_radius_ratio(state))

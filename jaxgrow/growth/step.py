@@ -1,4 +1,4 @@
-"""One step of a growth, in the paper's phases and order (paper §4)."""
+"""Step of a growth, in the phases and the order of the paper's §4."""
 
 from dataclasses import dataclass, replace
 
@@ -31,7 +31,7 @@ class StepResult:
         event: the discrete choices, also of a step that failed; None if there is no
             room for a division.
         settled: the equilibrium and the fairing; None if there is no event.
-        check: what the patch's border feels of the lesion; None if nobody looked.
+        check: of the patch's boundary; None if it was not checked.
     """
 
     now: GrowthState
@@ -44,11 +44,14 @@ class StepResult:
 def grow_step(
     setup: Setup, now: GrowthState, choices: Choices, clock: Clock, count: int
 ) -> StepResult:
-    """Divide, adapt, fair, reset; the state before it comes back if that fails.
+    """Divide particles, adapt tissue and surface, fair it, reset its springs.
+
+    These are phases 1 to 4 of the paper's §4. After a failure the state before the step
+    is returned.
 
     Args:
         setup: of the growth.
-        now: where it stands.
+        now: its state.
         choices: drawn or recorded.
         clock: counts the seconds.
         count: number of divisions; fewer are made if there are fewer particles to
@@ -76,10 +79,12 @@ def divide(
     divisions: tuple[Division, ...],
     parameters: Parameters,
 ) -> State:
-    """1. Make divisions that have been chosen.
+    """Divide the particles that have been chosen.
+
+    This is phase 1 of the paper's §4.
 
     Args:
-        lesion: whose rule it is.
+        lesion: with the rule of the division.
         state: an equilibrium.
         divisions: in their order.
         parameters: of the mechanics.
@@ -94,11 +99,11 @@ def divide(
 def check_boundary(
     setup: Setup, now: GrowthState, settled: FairingResult
 ) -> BoundaryCheck:
-    """Find what the border of the patch feels at an equilibrium.
+    """Check the reaction on the patch's boundary at an equilibrium.
 
     Args:
         setup: of the growth.
-        now: before the step, with the border before growth.
+        now: before the step, with the boundary before growth.
         settled: the equilibrium.
     """
     state = settled.found.state

@@ -1,4 +1,4 @@
-"""When a growth ends: at its size, at a bound, or where its cavity is full."""
+"""Stopping criteria of a growth: its size, a bound, or a full cavity."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,20 +11,21 @@ from jaxgrow.transfer.device import get_number
 
 
 STAGNATION = 60
-"""Divisions against a wall (or a quarter of all) that must enlarge the lesion, or its
-cavity is full; half as many if no equilibrium is found any more."""
+"""Number of divisions against a wall (or a quarter of all, if that is more) without an
+enlargement of the lesion after which its cavity is full; half as many if no equilibrium
+is found any more."""
 
 ENLARGING = 1.02
-"""Factor of its diameter that counts as an enlargement."""
+"""Factor of the lesion's diameter above which it counts as enlarged."""
 
 
 @dataclass(frozen=True)
 class GrowthLimits:
-    """Where a growth ends if its lesion never has its size.
+    """Bounds of a growth whose lesion does not reach its size.
 
     Attributes:
-        divisions: at most.
-        seconds: at most; None for no bound.
+        divisions: largest number.
+        seconds: largest number; None for no bound.
     """
 
     divisions: int
@@ -33,11 +34,11 @@ class GrowthLimits:
 
 @dataclass(frozen=True, eq=False)
 class Stopping:
-    """What the end of a growth is decided by.
+    """Quantities that the stopping criteria use.
 
     Attributes:
         size_mm: largest diameter of the lesion now.
-        divisions: made so far.
+        divisions: number made so far.
         history: of the steps so far.
         bounds: of divisions and time.
         seconds: since the start.
@@ -51,7 +52,7 @@ class Stopping:
 
 
 def stop_reason(lesion: Lesion, now: Stopping) -> Result:
-    """Return why growth ends here; CONVERGED if it goes on."""
+    """Return the stopping criterion that is met; CONVERGED if there is none."""
     target, bounds = lesion.target_mm, now.bounds
     if target is None:
         if now.divisions >= (lesion.divisions or 0):
@@ -69,13 +70,15 @@ def stop_reason(lesion: Lesion, now: Stopping) -> Result:
 
 
 def stagnates(history: Sequence[StepRecord], window: int) -> bool:
-    """Return whether so many divisions against a wall hardly enlarged the lesion.
+    """Return whether growth stagnates against a wall.
 
-    A quarter more particles enlarge a free lesion by 7 % in diameter at least.
+    It does if all recent steps had collisions and the diameter rose by a factor of
+    `ENLARGING` at most. A quarter more particles enlarge a free lesion by 7 % in
+    diameter at least.
 
     Args:
         history: of the steps so far.
-        window: number of divisions.
+        window: number of recent divisions.
     """
     former = history[-1].division - window if history else 0
     before = [record for record in history if record.division <= former]

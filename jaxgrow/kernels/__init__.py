@@ -1,12 +1,12 @@
-"""Inner loops for processors: compiled by numba, called by XLA programs or the host.
+"""Loops for CPUs, compiled by numba, called by XLA programs or the host.
 
-XLA runs a sum over neighbours on a processor as many small programs with arrays between
-them; a loop keeps a pair in registers. A whole descent is one loop. Where loops cannot
-be used (`refusal` tells why, and is said once), on accelerators, and in 32 bits, the
-same is computed by XLA. What the host does with a surface of a few hundred triangles is
-loops always: NumPy would spend most of its time there on calls and on candidates that
-are not near. Tests hold all of it equal to XLA or to all pairs, to rounding. Each loop
-runs on one thread.
+XLA runs a sum over neighbours on a CPU as many small programs with arrays between them;
+a loop keeps a pair in registers. A whole descent is one loop. If loops cannot be used
+(`refusal` gives the reason, and it is reported once), on accelerators, and in 32 bits,
+XLA computes the same. The host's operations on a surface of a few hundred triangles are
+always loops: NumPy would spend most of its time on calls and on candidates that are not
+near. Tests compare all loops with XLA or with sums over all pairs, to rounding. Each
+loop runs on one thread.
 """
 
 import functools
@@ -18,28 +18,28 @@ from jaxgrow.kernels.refusals import Refusal
 
 
 SWITCH = "JAXGROW_KERNELS"
-"""Environment variable that, set to ``off``, leaves the device's programs to XLA."""
+"""Environment variable; ``off`` disables the loops in the device's programs."""
 
 
 @functools.cache
 def _prepared() -> Refusal | None:
-    """Make sure that numba can keep loops and read them; why not, if it cannot."""
+    """Prepare numba's cache of loops; return the reason if that fails."""
     return import_module("jaxgrow.kernels.loop_cache").prepare()
 
 
 @functools.cache
 def refusal() -> Refusal | None:
-    """Find out why no loop may be used here; None if they may."""
+    """Return the reason why loops cannot be used here; None if they can."""
     if os.environ.get(SWITCH, "") == "off":
         return Refusal(f"{SWITCH} is off", None)
     return _prepared()
 
 
 def wanted() -> bool:
-    """Whether loops may be used here.
+    """Return whether loops can be used here.
 
     Warns:
-        SlowPathWarning: they may not, though nobody switched them off.
+        SlowPathWarning: they cannot, and the user did not disable them.
     """
     found = refusal()
     if found is not None:
@@ -48,9 +48,10 @@ def wanted() -> bool:
 
 
 def loops(name: str) -> Any:
-    """Import loops that the host calls: not before, as numba takes half a second.
+    """Import loops that the host calls.
 
-    They know 64 bits, of which all that the host does is.
+    They are imported at the first call only, as numba takes half a second. They compute
+    in 64 bits, like all of the host's code.
 
     Args:
         name: of a module of `jaxgrow.kernels`.

@@ -1,6 +1,6 @@
-"""Lists of a given size made by loops that the host calls: no program is compiled.
+"""Lists of a given capacity, built on the host without compiling programs.
 
-Each function returns a list and how many pairs there are, listed or not.
+Each function returns a list and the number of pairs, listed or not.
 """
 
 from typing import no_type_check
@@ -19,7 +19,7 @@ from jaxgrow.kernels.touching import list_all
 def wide_neighbors(
     position: np.ndarray, size: float, radius: float, side: int, room: int
 ) -> tuple[np.ndarray, int]:
-    """Neighbours of each particle, see `jaxgrow.kernels.cells.find`."""
+    """List the neighbours of each particle, see `jaxgrow.kernels.cells.find`."""
     count, most = len(position), np.zeros(1, np.int32)
     entries = np.zeros((count, room), np.int32)
     asked = np.ones(count, np.bool_)
@@ -32,7 +32,10 @@ def wide_neighbors(
 def near_neighbors(
     position: np.ndarray, wide: np.ndarray, radius: float, room: int
 ) -> tuple[np.ndarray, int]:
-    """Those of a wide list, see `jaxgrow.kernels.near.find`."""
+    """Filter the near neighbours of a wide list.
+
+    See `jaxgrow.kernels.near.find`.
+    """
     listed, most = np.zeros((room, len(position)), np.int32), np.zeros(1, np.int32)
     near.find(position, wide, radius * radius, listed, most)
     return listed, most[0]
@@ -60,7 +63,10 @@ def contacts(
     radius: float,
     room: int,
 ) -> tuple[Touching, int]:
-    """All pairs closer than a radius, see `jaxgrow.kernels.touching.list_all`."""
+    """List all contact pairs closer than a radius.
+
+    See `jaxgrow.kernels.touching.list_all`.
+    """
     listed = _touching(room)
     given = position, alive, vertices, faces, face_alive
     return listed, list_all(*given, radius, listed)
@@ -75,7 +81,10 @@ def near_contacts(
     radius: float,
     room: int,
 ) -> tuple[Touching, int]:
-    """Those of a list, see `jaxgrow.kernels.narrow.find_contacts`."""
+    """Filter the near contacts of a list.
+
+    See `jaxgrow.kernels.narrow.find_contacts`.
+    """
     near = _touching(room)
     return near, find_contacts(wide, position, vertices, radius, near)
 
@@ -90,9 +99,10 @@ def near_collisions(
     skin: float,
     room: int,
 ) -> tuple[Pairs, int]:
-    """Those of a list, see `jaxgrow.kernels.narrow.find_collisions`.
+    """Filter the near collision pairs of a list.
 
-    Of pairs of edges there is room for twice as many; they count for half.
+    See `jaxgrow.kernels.narrow.find_collisions`. The capacity for pairs of edges is
+    twice `room`; each counts as half a pair.
     """
     near = Pairs(
         np.zeros(room, np.int64),

@@ -1,8 +1,8 @@
-"""What a handler of XLA is given and gives: names, types and ranks, stated once.
+"""Declarations of arguments and results of XLA handlers: name, type, rank.
 
-The caller in Python is checked against them when a program is traced (`checked`), the
-handler checks every call against them in compiled code (`codes_of`), because an array
-of another type or rank would be read as what it is not.
+The Python caller is checked against them when a program is traced (`checked`). The
+handler checks every call against them in compiled code (`codes_of`), because the data
+of an array of another type or rank would be misinterpreted.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,21 +23,21 @@ DATA_TYPES = {
         start=1,
     )
 }
-"""XLA's number of each type that a loop may be given."""
+"""XLA's number of each data type that a loop accepts."""
 
 
 @dataclass(frozen=True)
 class Argument:
-    """An array that a handler takes or gives.
+    """Declaration of an array that is an argument or a result of a handler.
 
     Attributes:
-        name: of it, in sentences and calls.
-        dtype: of its numbers, in any form that NumPy knows; kept as a key of
+        name: of the array, in messages and calls.
+        dtype: of its entries, in any form that NumPy accepts; stored as a key of
             `DATA_TYPES`.
         rank: number of its axes.
 
     Raises:
-        ValueError: no loop can be given arrays of that type, or the rank is negative.
+        ValueError: loops do not accept that type, or the rank is not 0 to 255.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Argument:
     rank: int
 
     def __post_init__(self) -> None:
-        # so that np.float64 and "float64" may be written for it too
+        # so that np.float64 and "float64" are accepted too
         object.__setattr__(self, "dtype", np.dtype(self.dtype))
         if self.dtype not in DATA_TYPES:
             known = ", ".join(str(dtype) for dtype in DATA_TYPES)
@@ -62,7 +62,7 @@ class Argument:
 def codes_of(
     arguments: Sequence[Argument], results: Sequence[Argument], *, more: bool = False
 ) -> np.ndarray:
-    """Write types and ranks as the constant that `frames.mismatch` compares with.
+    """Convert types and ranks into the constant for `frames.mismatch`.
 
     Args:
         arguments: of the handler, in their order.
@@ -84,12 +84,15 @@ def checked(
     arguments: Sequence[Argument],
     values: Mapping[str, Any] | Sequence[Any],
 ) -> list[Any]:
-    """Values in the order of the arguments, each of the type and rank declared.
+    """Check values against the declared types and ranks, and sort them.
 
     Args:
-        loop: name of the handler, for the sentence.
+        loop: name of the handler, for the message.
         arguments: that it declares.
         values: arrays by name, or in that order.
+
+    Returns:
+        The values in the order of the arguments.
 
     Raises:
         TypeError: one is missing, unknown, or of another type or rank.
@@ -110,12 +113,15 @@ def checked_shapes(
     results: Sequence[Argument],
     shapes: Mapping[str, Sequence[int]] | Sequence[Sequence[int]],
 ) -> list[tuple[int, ...]]:
-    """Shapes in the order of the results, each of the rank declared.
+    """Check shapes against the declared ranks, and sort them.
 
     Args:
-        loop: name of the handler, for the sentence.
+        loop: name of the handler, for the message.
         results: that it declares.
         shapes: by name, or in that order.
+
+    Returns:
+        The shapes in the order of the results.
 
     Raises:
         TypeError: one is missing, unknown, or of another rank.
@@ -136,7 +142,7 @@ def _ordered(
     declared: Sequence[Argument],
     given: Mapping[str, Any] | Sequence[Any],
 ) -> list[Any]:
-    """What is given, as a list in the order declared."""
+    """Sort the given values into the declared order."""
     names = [one.name for one in declared]
     if isinstance(given, Mapping):
         odd = sorted(set(names).symmetric_difference(given))

@@ -1,4 +1,4 @@
-"""The loop over cells of space of `jaxgrow.neighbors.cell_list.relist`."""
+"""Cell list of neighbours, for `jaxgrow.neighbors.cell_list.relist`."""
 
 import math
 from typing import no_type_check
@@ -13,7 +13,7 @@ from jaxgrow.kernels.layout import AWAY
 @njit(cache=True)
 @no_type_check
 def _place(coordinate: float, size: float, side: int) -> int:
-    """Cell along an axis; of what is nowhere, the first."""
+    """Return the cell along an axis; the first for non-finite coordinates."""
     cell = math.floor(coordinate / size)
     return int(cell) % side if abs(cell) < 1e15 else 0
 
@@ -29,19 +29,20 @@ def find(
     entries: np.ndarray,
     most: np.ndarray,
 ) -> None:
-    """Write who is near whom: the points of a cell and of those around it are asked.
+    """List the neighbours of each point by a cell list.
 
-    Cells repeat along every axis, so that any points have one; that adds candidates
-    and loses none.
+    Candidates are the points of its cell and of the 26 around it. Cells repeat along
+    every axis, so that every point has one; that adds candidates and omits none.
 
     Args:
         position: of the points, in r0; those at `AWAY` or beyond have no neighbours.
         size: of a cell; no less than the radius.
-        radius: that neighbours are closer than.
+        radius: upper bound of a neighbour's distance.
         side: number of cells along an axis; three at least.
-        asked: which points have neighbours; the others have none, but are some.
+        asked: mask of the points whose neighbours are listed; the others have none, but
+            are neighbours of these.
         entries: neighbours of each point, n for empty entries. Written.
-        most: neighbours of a point, listed or not, at most. Written.
+        most: largest number of neighbours of a point, listed or not. Written.
     """
     count, room = entries.shape
     cell = np.zeros((count, 3), np.int64)
@@ -84,7 +85,7 @@ def find(
                 dy = y - sorted_position[place, 1]
                 dz = z - sorted_position[place, 2]
                 near = dx * dx + dy * dy + dz * dz < square
-                # without a branch, which would be guessed wrong for each sixth
+                # without a branch, which would be mispredicted for each sixth
                 row[min(found, room)] = order[place]
                 found += near & (order[place] != i)
         for entry in range(room):
@@ -95,7 +96,11 @@ def find(
 @cfunc(frames.HANDLER, cache=True)
 @no_type_check
 def handler(frame: int) -> int:
-    """For XLA: positions, size and radius, side, who is asked; results as of `find`."""
+    """Call `find` from XLA.
+
+    Arguments: positions; size and radius in one array; side; mask `asked`. Results:
+    entries and most.
+    """
     if frames.answers_version(frame):
         return 0
     count, room = frames.size(frame, 0, 0), frames.size_of_result(frame, 0, 1)

@@ -1,9 +1,9 @@
 """Closest points of points and triangles, and of pairs of segments.
 
-They are those of `jaxgrow.energy.distance`, where the choices are explained. Many pairs
-are measured at once: a block is gathered first, and then nothing in the loop over it
-branches, so that the processor works on eight pairs at a time. Pairs of segments are
-measured one by one, by the host too: their sums are not regrouped.
+The definitions are those of `jaxgrow.energy.distance`, where they are explained. Pairs
+of a point and a triangle are processed in blocks: a block is gathered first, and the
+loop over it has no branches, so that it is vectorised over eight pairs. Pairs of
+segments are processed one by one, by the host too: their sums are not regrouped.
 """
 
 import math
@@ -18,16 +18,16 @@ from jaxgrow.kernels.regrouped import regrouped
 _EPSILON = float(np.finfo(np.float64).eps)
 
 _THIN = 1e-6
-"""Squared height over length of a triangle below which the foot of the perpendicular
-is compared with the sides: rounding may have put it elsewhere."""
+"""Squared ratio of height to length of a triangle below which the foot of the
+perpendicular is compared with the sides, as rounding may have moved it."""
 
 _BLOCK = 128
-"""Pairs at a time; what is gathered of them stays in the nearest cache."""
+"""Pairs per block; the gathered data stay in the first-level cache."""
 
 X, Y, Z, LENGTH, OF_B, OF_C = 0, 1, 2, 3, 4, 5
-"""Rows of what is found of pairs of a point and a triangle: vector to the point from
-the closest one, its length, and the weights of two corners (that of the third is what
-is left of 1)."""
+"""Rows of the result for pairs of a point and a triangle: vector to the point from the
+closest one, its length, and the barycentric weights of two corners (the three weights
+sum to 1)."""
 
 
 @regrouped
@@ -39,14 +39,14 @@ def measure(
     corners: np.ndarray,
     found: np.ndarray,
 ) -> None:
-    """Write the closest points of pairs of a point and a triangle.
+    """Compute the closest points of pairs of a point and a triangle.
 
     Args:
         points: in r0.
         owner: the point of each pair.
         vertices: of the triangles.
         corners: of each pair's triangle, corner by corner.
-        found: six rows, see above; written.
+        found: six rows, see `X` to `OF_C`; written.
     """
     at = np.zeros((9, _BLOCK))
     for first in range(0, len(owner), _BLOCK):
@@ -98,7 +98,11 @@ def _measure_block(
     of_b: np.ndarray,
     of_c: np.ndarray,
 ) -> None:
-    """The same; points and two corners as seen from the first corner, by columns."""
+    """Compute the closest points of a block, without branches.
+
+    Coordinates of points and of two corners are relative to the first corner, one array
+    for each.
+    """
     for k in range(len(length)):
         px, py, pz = point_x[k], point_y[k], point_z[k]
         bx, by, bz = b_x[k], b_y[k], b_z[k]
@@ -111,7 +115,7 @@ def _measure_block(
         longest = bb if bb > cc else cc
         longest = longest if longest > dd else dd
         least = 64.0 * _EPSILON * longest
-        # the foot of the perpendicular, where it falls inside
+        # the foot of the perpendicular, if it is inside
         fv = (py * cz - pz * cy) * nx + (pz * cx - px * cz) * ny
         fv = (fv + (px * cy - py * cx) * nz) / square
         fw = (by * pz - bz * py) * nx + (bz * px - bx * pz) * ny
@@ -158,7 +162,7 @@ def _measure_block(
 @njit(cache=True, error_model="numpy")
 @no_type_check
 def _share(along: float, square: float) -> float:
-    """Share of a segment at which it is closest to a point; 0 for length 0."""
+    """Compute the closest parameter on a segment, 0 to 1; 0 for length 0."""
     return min(max(along / square, 0.0), 1.0) if square > 0.0 else 0.0
 
 
@@ -173,7 +177,9 @@ def _dot(a: tuple, b: tuple) -> float:
 def closest_of_segments(
     a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray
 ) -> tuple[float, float, float, float, float, float]:
-    """Where two segments are closest, as `jaxgrow.energy.distance.closest_shares`.
+    """Compute the closest points of two segments.
+
+    As `jaxgrow.energy.distance.closest_shares`.
 
     Args:
         a: one end of the first.
@@ -182,8 +188,8 @@ def closest_of_segments(
         d: its other end.
 
     Returns:
-        Vector from the second to the first, square of its length (infinite for what is
-        nowhere), and the shares from a to b and from c to d.
+        Vector from the second to the first, square of its length (infinite for
+        non-finite ones), and the parameters (0 to 1) from a to b and from c to d.
     """
     one = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     other = d[0] - c[0], d[1] - c[1], d[2] - c[2]

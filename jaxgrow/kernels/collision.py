@@ -1,6 +1,6 @@
-"""Loops over parts of the surface that may collide, for laws that are printed.
+"""Loops over collision pairs of the surface, for a printed law.
 
-The laws are those of `jaxgrow.energy.collision`; here is the geometry.
+The law is that of `jaxgrow.energy.collision`; this module has the geometry.
 """
 
 import math
@@ -22,7 +22,7 @@ from jaxgrow.kernels.smooth_minimum import smooth_changes
 @regrouped
 @no_type_check
 def _counted(apart: np.ndarray, margin: np.ndarray) -> np.ndarray:
-    """Return which pairs repel by their smooth distance, without the padding behind."""
+    """Mark the pairs with a smooth distance, up to the padding at the end."""
     count = len(margin)
     while count > 0 and not margin[count - 1] > 0.0:
         count -= 1
@@ -48,21 +48,23 @@ def add_forces(
     force: np.ndarray,
     clear: np.ndarray,
 ) -> None:
-    """Add the forces of vertices against triangles, and bound distances.
+    """Add the forces of vertices against triangles, and update clearances.
 
     Args:
-        slope_of: of the repulsion: function of a smooth distance and the parameters.
-        wall_of: of the barrier: function of distance, margin and parameters.
+        slope_of: derivative of the repulsion: function of a smooth distance and the
+            parameters.
+        wall_of: derivative of the barrier: function of distance, margin and parameters.
         points: the membrane's vertices, then the static ones, in r0.
         vertex: of each pair, ascending.
         corners: of its triangle.
         apart: whether the two are far from each other along the surface.
-        margin: where the barrier sets in; 0 for padding.
+        margin: distance at which the barrier begins, in collision ranges; 0 for
+            padding.
         scale: collision range, in r0.
-        half: of the sharpness.
+        half: half of the sharpness.
         p: parameters of the laws.
         force: on all points, in F(0); added to.
-        clear: distances in r0, the least so far; lowered.
+        clear: least distances so far, in r0; lowered.
     """
     counts = _counted(apart, margin)
     count = len(counts)
@@ -108,12 +110,12 @@ def add_products(
     way: np.ndarray,
     product: np.ndarray,
 ) -> None:
-    """Add the product of the Hessian of what `add_forces` adds; see there.
+    """Add the Hessian product of the energy of `add_forces`; see there.
 
     Args:
         slopes_of: first and second derivative of the repulsion.
         walls_of: of the barrier.
-        points: as for `add_forces`, likewise what follows.
+        points: as for `add_forces`, like the arguments below.
         vertex: likewise.
         corners: likewise.
         apart: likewise.
@@ -166,18 +168,19 @@ def add_forces_of_edges(
     force: np.ndarray,
     clear: np.ndarray,
 ) -> None:
-    """Add the forces of edges against edges, and bound distances.
+    """Add the forces of edges against edges, and update clearances.
 
     Args:
         wall_of: gradient of the barrier: function of the twelve coordinates of the four
             ends, of margin and parameters.
         points: the membrane's vertices, then the static ones, in r0.
-        edges: the ends of each pair.
-        margin: where the barrier sets in, in collision ranges; 0 for padding.
+        edges: the four ends of each pair.
+        margin: distance at which the barrier begins, in collision ranges; 0 for
+            padding.
         scale: collision range, in r0.
         p: parameters of the law.
         force: on all points, in F(0); added to.
-        clear: distances in r0, the least so far; lowered.
+        clear: least distances so far, in r0; lowered.
     """
     for pair in range(len(edges)):
         if not margin[pair] > 0.0:
@@ -215,12 +218,12 @@ def add_products_of_edges(
     way: np.ndarray,
     product: np.ndarray,
 ) -> None:
-    """Add the product of the Hessian of what `add_forces_of_edges` adds.
+    """Add the Hessian product of the energy of `add_forces_of_edges`.
 
     Args:
-        walls_of: product of the Hessian of the barrier: function of twelve coordinates,
-            twelve displacements, margin and parameters.
-        points: as for `add_forces_of_edges`, likewise what follows.
+        walls_of: Hessian product of the barrier: function of twelve coordinates, twelve
+            displacements, margin and parameters.
+        points: as for `add_forces_of_edges`, like the arguments below.
         edges: likewise.
         margin: likewise.
         scale: likewise.
@@ -268,15 +271,16 @@ def add_blocks(
     p: tuple,
     blocks: np.ndarray,
 ) -> None:
-    """Add about the diagonal blocks of the Hessian of what `add_forces` adds.
+    """Add approximate diagonal blocks of the Hessian of `add_forces`.
 
-    See `jaxgrow.kernels.contact.add_blocks`, to which the barrier's own are added.
-    Those of edges against edges are left out: they meet where vertices do too.
+    See `jaxgrow.kernels.contact.add_blocks`; the barrier's second derivative is added.
+    Pairs of edges are omitted, as there are pairs of a vertex and a triangle at the
+    same places.
 
     Args:
         slopes_of: first and second derivative of the repulsion.
         walls_of: of the barrier.
-        points: as for `add_forces`, likewise what follows.
+        points: as for `add_forces`, like the arguments below.
         vertex: likewise.
         corners: likewise.
         apart: likewise.
@@ -307,7 +311,7 @@ def add_blocks(
 @regrouped
 @no_type_check
 def _between(points: np.ndarray, ends: np.ndarray) -> float:
-    """Distance of two edges."""
+    """Compute the distance of two edges."""
     found = closest_of_segments(
         points[ends[0]], points[ends[1]], points[ends[2]], points[ends[3]]
     )

@@ -1,4 +1,4 @@
-"""The loop over points that counts those without company."""
+"""Count of isolated points: a sweep along one axis."""
 
 from typing import no_type_check
 
@@ -9,11 +9,13 @@ from numba import njit
 @njit(cache=True, error_model="numpy")
 @no_type_check
 def alone(points: np.ndarray, distance: float) -> int:
-    """Number of points that no other one is closer to than a distance.
+    """Count the points without another one within a distance.
+
+    Pairs are found by a sweep along the first axis.
 
     Args:
-        points: asked in the order of a coordinate.
-        distance: the bound.
+        points: positions.
+        distance: the bound, exclusive.
     """
     order = np.argsort(points[:, 0])
     placed = points[order]
@@ -23,7 +25,7 @@ def alone(points: np.ndarray, distance: float) -> int:
     for i in range(count):
         for j in range(i + 1, count):
             dx = placed[j, 0] - placed[i, 0]
-            # a little further, so that rounding leaves nobody out
+            # slightly further, so that rounding omits no pair
             if dx > distance * (1.0 + 1e-12):
                 break
             if accompanied[i] and accompanied[j]:

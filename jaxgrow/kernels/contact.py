@@ -1,7 +1,8 @@
-"""Loops over pairs of a particle and a triangle, for a law that is printed.
+"""Loops over pairs of a particle and a triangle, for a printed law.
 
-The law is of the smooth minimum of distances (`jaxgrow.energy.contact`); here is the
-geometry: distances, their smooth minimum, and how both change with the nodes.
+The law is a function of the smooth minimum of distances (`jaxgrow.energy.contact`).
+This module has the geometry: distances, their smooth minimum, and the derivatives of
+both with respect to the nodes.
 """
 
 from typing import Any, no_type_check
@@ -22,7 +23,7 @@ from jaxgrow.kernels.smooth_minimum import smooth_changes
 @regrouped
 @no_type_check
 def _without_padding(real: np.ndarray) -> int:
-    """Return the number of pairs without the padding behind them."""
+    """Count the pairs up to the padding at the end."""
     pairs = len(real)
     while pairs > 0 and not real[pairs - 1]:
         pairs -= 1
@@ -48,24 +49,24 @@ def add_forces(
     of_particles: np.ndarray,
     of_vertices: np.ndarray,
 ) -> None:
-    """Add the forces of contact, and bound distances of every node to what it may meet.
+    """Add the contact forces, and update the clearances of the nodes.
 
     Args:
-        slope_of: of the energy of a particle: function of its smooth distance and of
-            the parameters.
+        slope_of: derivative of the energy of a particle: function of its smooth
+            distance and of the parameters.
         position: of the particles, in r0.
         vertices: of the membrane.
-        alive: which particles feel a force.
+        alive: mask of the particles with contact forces.
         particle: of each pair, ascending.
         corners: the vertices of its triangle, corner by corner.
-        real: which pairs are none of the padding.
+        real: mask of the pairs that are not padding.
         scale: contact range, in r0.
-        half: of the sharpness.
+        half: half of the sharpness.
         reach: distance beyond which there is no contact, in contact ranges.
         p: parameters of the law.
         on_particles: forces in F(0); added to.
         on_vertices: likewise.
-        of_particles: distances in r0, the least so far; lowered.
+        of_particles: least distances so far, in r0; lowered.
         of_vertices: likewise.
     """
     pairs = _without_padding(real)
@@ -120,7 +121,7 @@ def add_products(
 
     Args:
         slopes_of: first and second derivative of the energy of a particle.
-        position: as for `add_forces`, likewise what follows.
+        position: as for `add_forces`, like the arguments below.
         vertices: likewise.
         alive: likewise.
         particle: likewise.
@@ -188,16 +189,16 @@ def add_blocks(
     of_particles: np.ndarray,
     of_vertices: np.ndarray,
 ) -> None:
-    """Add about the diagonal blocks of the contact's Hessian: E'' ∂u/∂d n nᵀ.
+    """Add approximate diagonal blocks of the contact's Hessian.
 
-    A particle sees a surface that is nearly flat through several triangles: the
-    directions n of its pairs are about the same, and the ∂u/∂d add up to about 1, so
-    that this is about E'' ∇u ∇uᵀ, summed up. What comes of changes of n and of
-    ∂u/∂d is left out, and so is E'' where it is negative.
+    Each pair adds E'' ∂u/∂d n nᵀ. A particle near an almost flat surface is in contact
+    with several triangles: the directions n of its pairs are about equal, and the ∂u/∂d
+    sum to about 1, so that the sum of the blocks is about E'' ∇u ∇uᵀ. The terms of
+    changes of n and of ∂u/∂d are omitted, and so is a negative E''.
 
     Args:
         slopes_of: first and second derivative of the energy of a particle.
-        position: as for `add_forces`, likewise what follows.
+        position: as for `add_forces`, like the arguments below.
         vertices: likewise.
         alive: likewise.
         particle: likewise.

@@ -1,9 +1,10 @@
-"""The descent by loops (`jaxgrow.kernels.steps`) as a handler of XLA.
+"""XLA handler of the descent by loops (`jaxgrow.kernels.steps`).
 
 Its arguments are the fields of `Scene`, `Bounds` (in one array), addresses and wiring
 of the terms' roots, their buffers, the wide `Lists`, the near ones, `Now` and `Memory`,
-see `jaxgrow.kernels.layout`. From the lists on they change: they are the results too,
-which share their memory. (The wide collisions are the host's, and stay as they are.)
+see `jaxgrow.kernels.layout`. All from the lists on are changed: they are the results
+too, which share their memory. (The wide collisions are made by the host, and do not
+change.)
 """
 
 from typing import no_type_check
@@ -26,10 +27,10 @@ from jaxgrow.kernels.steps import descend
 
 
 SCENE, BOUNDS, ADDRESSES, WIRING, BUFFERS = 0, 6, 7, 8, 9
-"""Numbers of the first arguments of a kind."""
+"""Number of the first argument of each kind."""
 
 WIDE, NEAR, NOW, MEMORY, END = 0, 15, 30, 39, 44
-"""Likewise of the results, and of all of them."""
+"""Number of the first result of each kind, and number of all results."""
 
 
 _REAL, _WHOLE, _SHORT, _FLAG = np.float64, np.int64, np.int32, np.bool_
@@ -40,7 +41,7 @@ ARGUMENTS = (
     Argument("bounds", _REAL, 1),
     *(Argument("addresses", _WHOLE, 1), Argument("wiring", _WHOLE, 2)),
 )
-"""Fields of `Scene`, `Bounds`, and the roots; buffers and what changes follow."""
+"""Fields of `Scene`, `Bounds`, and the roots; buffers and results follow."""
 
 _OF_LISTS = (
     *(Argument("listed", _SHORT, 2), Argument("listed_at", _REAL, 2)),
@@ -69,7 +70,7 @@ _CODES = codes_of(ARGUMENTS, RESULTS, more=True)
 @njit(cache=True)
 @no_type_check
 def _at(frame: int, number: int) -> int:
-    """Address of an argument, or of the result that it became."""
+    """Return the address of an argument, or of the result in its place."""
     changed = frames.count_arguments(frame) - END
     if number < changed:
         return frames.argument(frame, number)
@@ -143,7 +144,7 @@ def _lists(frame: int, first: int) -> Lists:
 @njit(cache=True)
 @no_type_check
 def _pairs_of_memory(frame: int, number: int) -> np.ndarray:
-    """Displacements or changes, all coordinates of each in a row."""
+    """Read displacements or changes, all coordinates of each in a row."""
     rows, nodes = frames.size(frame, number, 0), frames.size(frame, number, 1)
     return frames.reals(_at(frame, number), (rows, 3 * nodes))
 
@@ -151,7 +152,7 @@ def _pairs_of_memory(frame: int, number: int) -> np.ndarray:
 @cfunc(frames.HANDLER, cache=True)
 @no_type_check
 def handler(frame: int) -> int:
-    """For XLA: arguments and results as told above."""
+    """Call `descend` from XLA; see the module for arguments and results."""
     if frames.answers_version(frame):
         return 0
     bad = frames.mismatch(frame, _CODES)

@@ -1,4 +1,7 @@
-"""Exact distances of points to triangles and of segments, for `jaxgrow.mesh`."""
+"""Exact distances of points to triangles, and of segments.
+
+They serve `jaxgrow.mesh`.
+"""
 
 import math
 from typing import no_type_check
@@ -12,7 +15,7 @@ from jaxgrow.kernels.closest import closest_of_segments
 @njit(cache=True, error_model="numpy")
 @no_type_check
 def _share(along: float, square: float) -> float:
-    """Where on a segment, from 0 to 1, a point is nearest."""
+    """Compute the closest parameter on a segment, 0 to 1."""
     return min(max(along / (square if square > 0.0 else 1.0), 0.0), 1.0)
 
 
@@ -21,7 +24,10 @@ def _share(along: float, square: float) -> float:
 def _to_side(
     px: float, py: float, pz: float, sx: float, sy: float, sz: float
 ) -> tuple[float, float]:
-    """Squared distance of a point to the segment from 0 to s, and where on it."""
+    """Compute the squared distance of a point to the segment from 0 to s.
+
+    The second result is the closest parameter on it, 0 to 1.
+    """
     square = sx * sx + sy * sy + sz * sz
     t = _share(px * sx + py * sy + pz * sz, square)
     gx, gy, gz = px - t * sx, py - t * sy, pz - t * sz
@@ -33,8 +39,9 @@ def _to_side(
 def to_triangle(
     points: np.ndarray, i: int, vertices: np.ndarray, a: int, b: int, c: int
 ) -> tuple[float, float, float, float]:
-    """Distance of point i to a triangle, and the weights of a, b and c at its foot.
+    """Compute the distance of point i to a triangle.
 
+    The other results are the barycentric weights of a, b and c at the closest point.
     See `jaxgrow.mesh.proximity.closest_on_triangles`.
     """
     ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
@@ -59,7 +66,7 @@ def to_triangle(
     nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
     square = nx * nx + ny * ny + nz * nz
     if square > 0.0:
-        # areas of the triangles over the sides, seen from the foot
+        # areas of the triangles of each side and the foot
         of_a = nx * (qy * rz - qz * ry) + ny * (qz * rx - qx * rz)
         of_a += nz * (qx * ry - qy * rx)
         of_b = nx * (ry * pz - rz * py) + ny * (rz * px - rx * pz)
@@ -79,7 +86,9 @@ def to_triangle(
 def to_triangles(
     points: np.ndarray, corners: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Distance of point i to triangle i, and the weights of its corners at the foot.
+    """Compute the distance of point i to triangle i, for all i.
+
+    The second result is the barycentric weights of its corners at the closest point.
 
     Args:
         points: positions.
@@ -97,7 +106,10 @@ def to_triangles(
 @njit(cache=True, error_model="numpy")
 @no_type_check
 def of_segments(ends: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Distance of both segments of each row of four ends, and the shares on them."""
+    """Compute the distance of the two segments of each row of four ends.
+
+    The other results are the closest parameters on them, 0 to 1.
+    """
     count = len(ends)
     distance, on_first, on_second = np.zeros(count), np.zeros(count), np.zeros(count)
     for i in range(count):
@@ -111,7 +123,7 @@ def of_segments(ends: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 @njit(cache=True, error_model="numpy")
 @no_type_check
 def between(vertices: np.ndarray, a: int, b: int, c: int, d: int) -> float:
-    """Distance of the segments from a to b and from c to d.
+    """Compute the distance of the segments from a to b and from c to d.
 
     See `jaxgrow.mesh.proximity.closest_on_segments`.
     """
@@ -124,7 +136,7 @@ def between(vertices: np.ndarray, a: int, b: int, c: int, d: int) -> float:
 def of_pairs(
     vertices: np.ndarray, vertex: np.ndarray, corners: np.ndarray, edges: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Distances of vertices to triangles, and of edges to edges.
+    """Compute distances of vertices to triangles, and of edges to edges.
 
     Args:
         vertices: positions.

@@ -1,7 +1,7 @@
-"""The loops over a sheet of `jaxgrow.mesh.collision_mesh` that find what of it is near.
+"""Broad phase of collision detection: loops that list near pairs.
 
-Candidates are those whose boxes are near: a sweep along the axis on which the sheet is
-longest finds them.
+They are those of `jaxgrow.mesh.collision_mesh`. Candidates are pairs whose bounding
+boxes are near, found by a sweep along the longest axis of the sheet.
 """
 
 import math
@@ -17,13 +17,13 @@ _Pairs = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """First and second of each pair, their distance, and whether they are apart."""
 
 _ROUNDING = 1.0 + 1e-12
-"""Factor of a distance, so that no box leaves out what rounding brings within it."""
+"""Factor of a distance, so that rounding omits no pair."""
 
 
 @njit(cache=True, error_model="numpy")
 @no_type_check
 def _longest(vertices: np.ndarray) -> int:
-    """Axis along which points are farthest apart."""
+    """Find the axis along which points are farthest apart."""
     longest, most = 0, -1.0
     for axis in range(3):
         low, high = np.inf, -np.inf
@@ -39,7 +39,10 @@ def _longest(vertices: np.ndarray) -> int:
 def _neighbours(
     edges: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where each vertex's neighbours begin, the neighbours, and the edges to them."""
+    """Build the adjacency of vertices, in compressed rows.
+
+    Returns where each vertex's neighbours begin, the neighbours, and the edges to them.
+    """
     begin = np.zeros(count + 1, np.int64)
     for e in range(len(edges)):
         begin[edges[e, 0] + 1] += 1
@@ -61,9 +64,9 @@ def _neighbours(
 def joined(
     edges: np.ndarray, length: np.ndarray, count: int, along: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Which vertices a path over edges joins that is not longer than a bound.
+    """List the vertices within a distance along edges of each vertex.
 
-    The length of a path is summed up from its start, as Dijkstra's algorithm does.
+    The length of a path is summed from its start, as by Dijkstra's algorithm.
 
     Args:
         edges: of the sheet.
@@ -72,7 +75,7 @@ def joined(
         along: the bound.
 
     Returns:
-        Where the vertices that are joined with each begin, and these vertices.
+        For each vertex, where those joined with it begin; and these vertices.
     """
     begin, head, edge = _neighbours(edges, count)
     first, reached = np.zeros(count + 1, np.int64), np.zeros(8 * count + 8, np.int64)
@@ -106,7 +109,7 @@ def joined(
 @njit(cache=True)
 @no_type_check
 def _are_joined(first: np.ndarray, reached: np.ndarray, v: int, w: int) -> bool:
-    """Whether two vertices are among the joined ones."""
+    """Return whether two vertices are joined."""
     found = False
     for at in range(first[v], first[v + 1]):
         found |= reached[at] == w
@@ -116,7 +119,7 @@ def _are_joined(first: np.ndarray, reached: np.ndarray, v: int, w: int) -> bool:
 @njit(cache=True)
 @no_type_check
 def _no_pairs(room: int) -> _Pairs:
-    """Room for that many pairs."""
+    """Allocate arrays for a number of pairs."""
     return (
         np.zeros(room, np.int64),
         np.zeros(room, np.int64),
@@ -130,7 +133,7 @@ def _no_pairs(room: int) -> _Pairs:
 def _put(
     pairs: _Pairs, found: int, one: int, other: int, distance: float, far: bool
 ) -> _Pairs:
-    """Pairs with another one after those found; in longer arrays, if these are full."""
+    """Add a pair after those found; full arrays are doubled."""
     firsts, seconds, distances_, fars = pairs
     if found == len(firsts):
         more = _no_pairs(found)
@@ -152,16 +155,18 @@ def vertices_and_faces(
     apart: float,
     local: float,
 ) -> _Pairs:
-    """Pairs of a vertex and a face that are near.
+    """List the near pairs of a vertex and a face.
+
+    Two elements are apart if none of their vertices are joined, see `joined`.
 
     Args:
         vertices: of the sheet.
         faces: of the sheet.
-        moving: vertices, of which one is in every pair.
-        first: where the vertices begin that are joined with each, see `joined`.
+        moving: mask of the vertices of which one is in every pair.
+        first: for each vertex, where those joined with it begin, see `joined`.
         reached: these vertices.
-        apart: distance that those that are apart are closer than.
-        local: distance that the others are closer than.
+        apart: upper bound of the distance of pairs that are apart.
+        local: upper bound of the distance of the others.
 
     Returns:
         Vertex, ascending, face, distance, and whether the two are apart.
@@ -225,7 +230,7 @@ def pairs_of_edges(
     apart: float,
     local: float,
 ) -> _Pairs:
-    """Pairs of edges that are near.
+    """List the near pairs of edges.
 
     Args:
         vertices: of the sheet.

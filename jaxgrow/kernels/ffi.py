@@ -1,10 +1,10 @@
-"""Loops compiled by numba as handlers of XLA's foreign function interface.
+"""Handlers of XLA's foreign function interface, compiled by numba.
 
-An XLA program calls a handler without the Python interpreter and with its own buffers:
-it is no host callback, runs on any thread, and leaves the program cacheable on disk.
-The handler is given a *call frame*, of which `jaxgrow.kernels.frames` knows the layout
-(version 0.x of ``xla/ffi/api/c_api.h``, 64 bits). Another major version is refused by
-XLA when a handler is registered, and `refused` tells so.
+An XLA program calls a handler without the Python interpreter and with its own buffers.
+A handler is not a host callback: it runs on any thread, and the program remains
+cacheable on disk. Its argument is a *call frame*; its layout (version 0.x of
+``xla/ffi/api/c_api.h``, 64 bits) is in `jaxgrow.kernels.frames`. Another major version
+is refused by XLA when a handler is registered, and `refused` returns the reason.
 """
 
 import ctypes
@@ -32,13 +32,13 @@ _new_capsule = ctypes.PYFUNCTYPE(
 
 
 def target(name: str) -> str:
-    """What XLA knows the handler of that name by."""
+    """Return the name by which a handler is registered with XLA."""
     return f"jaxgrow_{name}"
 
 
 @functools.cache
 def refused(name: str) -> Refusal | None:
-    """Find out why XLA cannot call a handler; None if it can from now on.
+    """Register a handler with XLA; return the reason if that fails, else None.
 
     Args:
         name: of a module of `jaxgrow.kernels` with a handler.
@@ -47,9 +47,9 @@ def refused(name: str) -> Refusal | None:
     if found is not None:
         return found
     try:
-        # not above: numba takes half a second to import
+        # not at the top: numba takes half a second to import
         handler: Any = import_module(f"jaxgrow.kernels.{name}").handler
-    # numba and LLVM have many errors, and XLA computes the same
+    # numba and LLVM raise many errors, and XLA computes the same
     except Exception as error:
         folder = import_module("jaxgrow.kernels.loop_cache").kept_in()
         return Refusal(
@@ -60,7 +60,7 @@ def refused(name: str) -> Refusal | None:
     try:
         capsule = _new_capsule(handler.address, None, None)
         jax.ffi.register_ffi_target(target(name), capsule, platform="cpu")
-    # XLA refuses handlers for another version by an error of its own
+    # XLA refuses handlers for another version by its own class of error
     except Exception as error:
         return Refusal(
             f"jaxlib {_jaxlib()} does not take them ({said(error)})",
@@ -70,14 +70,14 @@ def refused(name: str) -> Refusal | None:
 
 
 def registered(name: str) -> bool:
-    """Whether XLA can call the handler of that name now; registered at the first call.
+    """Return whether XLA can call a handler; the first call registers it.
 
     Args:
         name: of a module of `jaxgrow.kernels` with a handler.
 
     Warns:
-        SlowPathWarning: it cannot, though nobody switched loops off.
-        UnvalidatedVersionWarning: it can, by a jaxlib that is too new to be known.
+        SlowPathWarning: it cannot, and the user did not disable loops.
+        UnvalidatedVersionWarning: it can, with a jaxlib newer than those tested.
     """
     found = refused(name)
     if found is None:
@@ -89,7 +89,7 @@ def registered(name: str) -> bool:
 
 @functools.cache
 def warn_if_unvalidated(jaxlib: str) -> None:
-    """Warn once if a version of jaxlib is newer than those that loops are tested with.
+    """Issue a warning, once, if jaxlib is newer than the versions tested.
 
     Args:
         jaxlib: the version.
@@ -105,12 +105,12 @@ def warn_if_unvalidated(jaxlib: str) -> None:
 
 @functools.cache
 def _jaxlib() -> str:
-    """The version of jaxlib; to look for it takes longer than a small descent."""
+    """Read the version of jaxlib; this takes longer than a small descent."""
     return version("jaxlib")
 
 
 def _numbers(release: str) -> list[int]:
-    """The numbers that a version begins with."""
+    """Extract the leading numbers of a version."""
     found = re.match(r"\d+(\.\d+)*", release)
     return [] if found is None else [int(part) for part in found[0].split(".")]
 
@@ -132,15 +132,15 @@ def call(
         results: likewise.
         values: of the arguments, by name or in that order.
         result_shapes: of the results, likewise.
-        aliases: names of arguments, each with the name of the result that begins as it
-            and may share its memory.
+        aliases: names of arguments, each with the name of the result that has its
+            initial value and may share its memory.
         **options: of `jax.ffi.ffi_call`.
 
     Returns:
         The results, in the order declared.
 
     Raises:
-        TypeError: a value or a shape is not what is declared; the sentence names it.
+        TypeError: a value or a shape is not as declared; the message names it.
     """
     given = checked(name, arguments, values)
     shapes = checked_shapes(name, results, result_shapes)

@@ -1,7 +1,8 @@
-"""Reading and refusing a call frame of XLA in compiled loops.
+"""Access to XLA's call frames in compiled loops, and their validation.
 
-A frame, and what it leads to, is laid out as ``xla/ffi/api/c_api.h`` of version 0.x
-says (64 bits), and a test compares the places named here with that file::
+The layout of a frame, and of the structures that it points to, is that of
+``xla/ffi/api/c_api.h`` of version 0.x (64 bits); a test compares the offsets here with
+that file::
 
     frame     size, extension, api, context, stage, arguments, results, ...
     arguments size, extension, count, types, pointers to buffers (results likewise)
@@ -9,9 +10,9 @@ says (64 bits), and a test compares the places named here with that file::
     extension size, type, next, pointer to metadata (of a query of the version)
     metadata  size, version (size, extension, major and minor), ...
     api       size, extension, version (likewise), internal, make an error, ...
-    error     size, extension, message, code (as it is to be made)
+    error     size, extension, message, code (input of its constructor)
 
-each entry a word of 64 bits. A handler begins so, with `CODES` made by
+each entry a word of 64 bits. A handler begins as follows, with `CODES` made by
 `jaxgrow.kernels.arguments.codes_of`::
 
     if frames.answers_version(frame):
@@ -44,23 +45,25 @@ EXTENSION_TYPE, METADATA = 1, 3
 """Words of an extension."""
 
 VERSION_OF_METADATA, VERSION_OF_API, MAKE_ERROR = 3, 4, 6
-"""Words of metadata and of the api: versions, minor above and major below; function."""
+"""Words of metadata and of the api: versions (minor in the high half, major in the low
+half), and the constructor of errors."""
 
 MESSAGE, ERROR_CODE, ERROR_SIZE = 2, 3, 28
-"""Words of what an error is made of, and its size in bytes."""
+"""Words of the input of that constructor, and its size in bytes."""
 
 QUERY_OF_VERSION, MAJOR = 1, 0
-"""Type of the extension that asks for the version, and the one whose layout this is."""
+"""Type of the extension that queries the version, and the major version of this
+layout."""
 
 INVALID_ARGUMENT, INTERNAL = 3, 13
 """Codes of errors."""
 
 _WIDTH = np.array([0, *(dtype.itemsize for dtype in DATA_TYPES)], np.int64)
-"""Bytes of a number of each type; of none, 0."""
+"""Bytes of an entry of each type; 0 for none."""
 
 
 def text(sentence: str) -> np.ndarray:
-    """Write a sentence as the constant that `fail` takes.
+    """Convert a sentence into the constant that `fail` takes.
 
     Raises:
         UnicodeEncodeError: it is not in ASCII.
@@ -68,11 +71,11 @@ def text(sentence: str) -> np.ndarray:
     return np.frombuffer(sentence.encode("ascii"), np.uint8).copy()
 
 
-# numba takes an attribute `_name` of a module for its name: there must be none
+# numba mistakes an attribute `_name` of a module for its name: there must be none
 _TYPE_NAMES = np.array(
     [text(f"{dtype!s:16}") for dtype in (np.dtype(np.void), *DATA_TYPES)]
 )
-"""Names of types, filled up with blanks."""
+"""Names of types, padded with blanks."""
 
 _ARGUMENT, _RESULT, _IS = text("argument "), text("result "), text(" is ")
 _UNKNOWN, _OF_RANK, _WANTED = text("type "), text(" of rank "), text("; it must be ")
@@ -103,7 +106,7 @@ def _words(address: int, count: int) -> np.ndarray:
 @njit(cache=True)
 @no_type_check
 def answers_version(frame_at: int) -> bool:
-    """Whether the call only asks for the version, which is answered then."""
+    """Return whether the call only queries the version, and answer it then."""
     frame = _words(frame_at, 5)
     if frame[EXTENSION] == 0:
         return False
@@ -120,7 +123,7 @@ def answers_version(frame_at: int) -> bool:
 @njit(cache=True)
 @no_type_check
 def argument(frame_at: int, number: int) -> int:
-    """Address of an argument's data."""
+    """Return the address of an argument's data."""
     buffers = _words(_words(frame_at, 15)[ARGUMENTS], number + 1)
     return _words(buffers[number], 6)[DATA]
 
@@ -128,7 +131,7 @@ def argument(frame_at: int, number: int) -> int:
 @njit(cache=True)
 @no_type_check
 def size(frame_at: int, number: int, axis: int) -> int:
-    """Length of an argument along an axis."""
+    """Return the length of an argument along an axis."""
     buffers = _words(_words(frame_at, 15)[ARGUMENTS], number + 1)
     return _words(_words(buffers[number], 6)[DIMENSIONS], axis + 1)[axis]
 
@@ -136,7 +139,7 @@ def size(frame_at: int, number: int, axis: int) -> int:
 @njit(cache=True)
 @no_type_check
 def rank(frame_at: int, number: int) -> int:
-    """Number of axes of an argument."""
+    """Return the number of axes of an argument."""
     buffers = _words(_words(frame_at, ARGUMENTS + 1)[ARGUMENTS], number + 1)
     return _words(buffers[number], RANK + 1)[RANK]
 
@@ -144,14 +147,14 @@ def rank(frame_at: int, number: int) -> int:
 @njit(cache=True)
 @no_type_check
 def count_arguments(frame_at: int) -> int:
-    """Number of arguments."""
+    """Return the number of arguments."""
     return _words(frame_at, ARGUMENT_COUNT + 1)[ARGUMENT_COUNT]
 
 
 @njit(cache=True)
 @no_type_check
 def _bytes(frame_at: int, number: int) -> int:
-    """What an argument takes."""
+    """Compute the size of an argument in bytes."""
     buffers = _words(_words(frame_at, 15)[ARGUMENTS], number + 1)
     buffer = _words(buffers[number], 6)
     extent = _WIDTH[np.int32(buffer[TYPE])]
@@ -165,7 +168,7 @@ def _bytes(frame_at: int, number: int) -> int:
 @njit(cache=True)
 @no_type_check
 def size_of_result(frame_at: int, number: int, axis: int) -> int:
-    """Length of a result along an axis."""
+    """Return the length of a result along an axis."""
     buffers = _words(_words(frame_at, 15)[RESULTS], number + 1)
     return _words(_words(buffers[number], 6)[DIMENSIONS], axis + 1)[axis]
 
@@ -173,7 +176,7 @@ def size_of_result(frame_at: int, number: int, axis: int) -> int:
 @njit(cache=True)
 @no_type_check
 def result(frame_at: int, number: int) -> int:
-    """Address of a result's data."""
+    """Return the address of a result's data."""
     buffers = _words(_words(frame_at, 15)[RESULTS], number + 1)
     return _words(buffers[number], 6)[DATA]
 
@@ -181,43 +184,45 @@ def result(frame_at: int, number: int) -> int:
 @njit(cache=True)
 @no_type_check
 def reals(address: int, shape: tuple[int, ...]) -> np.ndarray:
-    """What lies there, as numbers of 64 bits."""
+    """Wrap the memory at an address as an array of 64-bit floats."""
     return carray(_as_pointer(address), shape, np.float64)
 
 
 @njit(cache=True)
 @no_type_check
 def indices(address: int, shape: tuple[int, ...]) -> np.ndarray:
-    """What lies there, as whole numbers of 32 bits."""
+    """Wrap the memory at an address as an array of 32-bit integers."""
     return carray(_as_pointer(address), shape, np.int32)
 
 
 @njit(cache=True)
 @no_type_check
 def long_indices(address: int, shape: tuple[int, ...]) -> np.ndarray:
-    """What lies there, as whole numbers of 64 bits."""
+    """Wrap the memory at an address as an array of 64-bit integers."""
     return carray(_as_pointer(address), shape, np.int64)
 
 
 @njit(cache=True)
 @no_type_check
 def booleans(address: int, shape: tuple[int, ...]) -> np.ndarray:
-    """What lies there, as 0 and 1 of a byte each."""
+    """Wrap the memory at an address as an array of bytes 0 and 1."""
     return carray(_as_pointer(address), shape, np.uint8)
 
 
 @njit(cache=True)
 @no_type_check
 def mismatch(frame_at: int, codes: np.ndarray) -> int:
-    """Compare a call with what its handler declares; takes some 20 ns and 1 a buffer.
+    """Compare a call with the declarations of its handler.
+
+    This takes about 20 ns, and 1 ns per buffer.
 
     Args:
-        frame_at: of the call.
+        frame_at: address of the call.
         codes: of `jaxgrow.kernels.arguments.codes_of`.
 
     Returns:
         0 if the numbers of arguments and results, and the type and rank of each, are
-        those declared; otherwise what `refuse` makes an error of.
+        those declared; otherwise the input of `refuse`.
     """
     frame = _words(frame_at, RESULTS + 1)
     arguments, results, given = codes[0] >> 1, codes[1], frame[ARGUMENT_COUNT]
@@ -235,7 +240,7 @@ def mismatch(frame_at: int, codes: np.ndarray) -> int:
 @njit(cache=True)
 @no_type_check
 def _buffer(frame: np.ndarray, number: int, arguments: int) -> np.ndarray:
-    """A buffer by its number; those of results follow those of arguments."""
+    """Return a buffer by its number; results follow the arguments."""
     if number < arguments:
         return _words(_words(frame[ARGUMENTS], number + 1)[number], DIMENSIONS + 1)
     number -= arguments
@@ -245,15 +250,15 @@ def _buffer(frame: np.ndarray, number: int, arguments: int) -> np.ndarray:
 @njit(cache=True)
 @no_type_check
 def refuse(frame_at: int, bad: int) -> int:
-    """Make the error of a call that is not what its handler declares.
+    """Make the error of a call that does not match its handler's declarations.
 
     Args:
-        frame_at: of the call.
-        bad: what `mismatch` found.
+        frame_at: address of the call.
+        bad: the result of `mismatch`.
 
     Returns:
         The error's address, for the handler to return; in Python it is an exception
-        whose sentence names the argument, what it is and what it must be.
+        whose message names the argument, what it is and what it must be.
     """
     if bad < 0:
         return _fail(frame_at, INVALID_ARGUMENT, _COUNTS, len(_COUNTS))
@@ -313,9 +318,9 @@ def fail(frame_at: int, code: int, sentence: np.ndarray) -> int:
     """Make an error of XLA.
 
     Args:
-        frame_at: of the call.
+        frame_at: address of the call.
         code: `INVALID_ARGUMENT` or `INTERNAL`.
-        sentence: of `text`.
+        sentence: the message, of `text`.
 
     Returns:
         The error's address, for the handler to return; XLA destroys it.
@@ -326,7 +331,7 @@ def fail(frame_at: int, code: int, sentence: np.ndarray) -> int:
 @njit(cache=True)
 @no_type_check
 def _fail(frame_at: int, code: int, sentence: np.ndarray, length: int) -> int:
-    """As `fail`, of a sentence that does not fill its array."""
+    """Make an error of XLA from the first `length` characters of a sentence."""
     message = np.zeros(length + 1, np.uint8)  # XLA reads up to the zero
     for k in range(length):
         message[k] = sentence[k]
@@ -339,7 +344,7 @@ def _fail(frame_at: int, code: int, sentence: np.ndarray, length: int) -> int:
 @intrinsic
 @no_type_check
 def _make_error(_context: Any, _function: Any, given: Any, message: Any) -> Any:
-    """Call XLA with what an error is made of; both arrays live until it returns."""
+    """Call XLA's constructor of errors; both arrays live until it returns."""
     signature = types.intp(types.intp, given, message)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -366,12 +371,12 @@ HANDLER = types.intp(types.intp)
 @njit(cache=True)
 @no_type_check
 def keep(frame_at: int, number: int, count: int) -> None:
-    """Begin the results with these arguments, as they are; results share their memory.
+    """Copy arguments to the first results, except where they share memory.
 
     Args:
-        frame_at: of the call.
-        number: of the argument that the first result begins as; others follow.
-        count: of results that do.
+        frame_at: address of the call.
+        number: of the argument for the first result; others follow.
+        count: number of these results.
     """
     for k in range(count):
         before, after = argument(frame_at, number + k), result(frame_at, k)

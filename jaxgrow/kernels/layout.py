@@ -1,6 +1,7 @@
-"""What the loop of a descent is given: arrays of XLA outside, of NumPy within.
+"""Argument layout of a descent's loop: arrays of XLA or of NumPy.
 
-In this order, field by field, they are the arguments of `jaxgrow.kernels.descent`.
+They are XLA's outside of the loop, and NumPy's within. In this order, field by field,
+they are the arguments of `jaxgrow.kernels.descent`.
 """
 
 from typing import Any, NamedTuple, TypeAlias
@@ -14,11 +15,11 @@ Array: TypeAlias = Any
 """An array on either side."""
 
 Number: TypeAlias = Any
-"""A number within, or one that is not known yet outside."""
+"""A number within the loop, or a traced one outside."""
 
 
 AWAY = 1e9
-"""Coordinate, in r0, from which on there is nothing but dead particles."""
+"""Coordinate, in r0, from which on all particles are dead."""
 
 NEAR_ARGUMENTS = (
     Argument("position", np.float64, 2),
@@ -26,11 +27,14 @@ NEAR_ARGUMENTS = (
     Argument("square", np.float64, 1),
 )
 NEAR_RESULTS = (Argument("listed", np.int32, 2), Argument("most", np.int32, 1))
-"""What `jaxgrow.kernels.near` is given and gives."""
+"""Arguments and results of `jaxgrow.kernels.near`."""
 
 
 class Touching(NamedTuple):
-    """Pairs of a particle and a triangle, as `jaxgrow.energy.contact.Contacts`."""
+    """Contact pairs of a particle and a triangle.
+
+    As `jaxgrow.energy.contact.Contacts`.
+    """
 
     particle: Array
     face: Array
@@ -39,7 +43,7 @@ class Touching(NamedTuple):
 
 
 class Pairs(NamedTuple):
-    """What may collide, as in `jaxgrow.energy.collision.Collisions`.
+    """Collision pairs, as in `jaxgrow.energy.collision.Collisions`.
 
     Attributes:
         vertex, corners, apart, vertex_margin: of a vertex and a triangle.
@@ -55,13 +59,13 @@ class Pairs(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """What does not change.
+    """Arrays that are constant during a descent.
 
     Attributes:
-        alive: which particles are none of the padding.
-        free: which nodes may move: particles, then vertices.
+        alive: mask of the particles that are not padding.
+        free: mask of the nodes that may move: particles, then vertices.
         faces, face_alive: of the membrane.
-        load: on its vertices, or on none.
+        load: on its vertices; without rows if there is none.
         still: static vertices that it may collide with.
     """
 
@@ -74,17 +78,17 @@ class Scene(NamedTuple):
 
 
 class Lists(NamedTuple):
-    """Wide lists, or the near ones that are found in them.
+    """Verlet lists: wide ones, or the near ones that are filtered from them.
 
     Attributes:
         listed: neighbours, particle by particle in a wide list, and neighbour-major in
             a near one; without entries if there is no such term.
-        listed_at: positions of the particles then.
+        listed_at: positions of the particles when it was built.
         contacts: of particles and triangles.
-        touching: positions of the particles then.
-        touched: vertices then.
+        touching: positions of the particles when they were listed.
+        touched: positions of the vertices when they were listed.
         collisions: of the membrane.
-        collided: vertices then.
+        collided: positions of the vertices when they were listed.
     """
 
     listed: Array
@@ -97,21 +101,22 @@ class Lists(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """Numbers that end the loop, or a list; lengths in r0.
+    """Bounds of a descent, and of the validity of its lists; lengths in r0.
 
     Attributes:
         tolerance: largest force allowed at the end, in F(0).
         largest: longest displacement in a step.
-        steps: at most.
-        skin: moves that the near neighbours hold for.
+        steps: largest number.
+        skin: moves for which the near neighbours are valid.
         radius, wide_radius: of the near neighbours, and of the wide list of them.
-        cell, cells: size of a cell of space, and how many there are along an axis.
-        strays: how many that went far are listed by themselves.
-        few: whether that is so only where the wide list does not hold.
-        contact_skin: moves that the near contacts hold for.
+        cell, cells: size of a cell of the cell list, and number of cells along an axis.
+        strays: largest number of particles with long moves that are relisted one by
+            one.
+        few: whether this is done only if the wide list is not valid.
+        contact_skin: moves for which the near contacts are valid.
         contact_radius, candidate_radius: of the near contacts, and of the wide list.
-        collision_skin, encounter_skin: moves that collisions, and the host's list of
-            them, hold for.
+        collision_skin, encounter_skin: moves for which the near collisions, and the
+            host's list of them, are valid.
         least: distance up to which collisions are listed in any case.
         collision_range: unit of the collisions' margins.
     """
@@ -136,17 +141,17 @@ class Bounds(NamedTuple):
 
 
 class Now(NamedTuple):
-    """Where the descent stands; all of it is written.
+    """State of a descent; all of it is written.
 
     Attributes:
-        particles, vertices: accepted last.
+        particles, vertices: positions accepted last.
         on_particles, on_vertices: forces there.
-        trial_particles, trial_vertices: to be evaluated next.
+        trial_particles, trial_vertices: positions to be evaluated next.
         step: the displacement to them.
         residual: one entry.
-        counts: steps (-1 before the first evaluation), code, how often a list was made
-            anew, whether the host has to list the collisions anew, whether any list
-            was too small at first, and which are now.
+        counts: steps (-1 before the first evaluation), code, number of list rebuilds,
+            whether the host must rebuild the list of collisions, whether any list
+            overflowed at the start, and which do now.
     """
 
     particles: Array
@@ -161,13 +166,16 @@ class Now(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """As `jaxgrow.equilibrium.lbfgs.LBFGSMemory`, with all coordinates in a row.
+    """Memory of L-BFGS, with all coordinates in a row.
+
+    As `jaxgrow.equilibrium.lbfgs.LBFGSMemory`.
 
     Attributes:
         displacement, change: of each pair.
         inverse: 1 / (s · y), 0 for an empty slot.
         oldest: index of the oldest pair; one entry.
-        scale: displacement per force along new directions; one entry.
+        scale: initial inverse Hessian: displacement per force along directions outside
+            of the pairs; one entry.
     """
 
     displacement: Array
@@ -182,4 +190,4 @@ FULL_NEIGHBOURS, FULL_WIDE, FULL_CONTACTS, FULL_CANDIDATES, FULL_COLLISIONS = FU
     *(5, 6, 7, 8, 9),
 )
 COUNTS = 10
-"""Places of `Now.counts`, and how many there are."""
+"""Indices of `Now.counts`, and its length."""

@@ -1,7 +1,8 @@
-"""The memory of `jaxgrow.equilibrium.lbfgs`, for compiled loops.
+"""L-BFGS two-loop recursion for compiled loops.
 
-The two-loop recursion reads every pair twice, and the step after each: what one pair
-adds to the step and how far the step goes along the next are found in one pass.
+It uses the memory of `jaxgrow.equilibrium.lbfgs`. The recursion reads every pair twice,
+and the step after each: the update of the step by one pair and its scalar product with
+the next are computed in one pass.
 """
 
 import math
@@ -17,7 +18,7 @@ from jaxgrow.kernels.regrouped import regrouped
 @regrouped
 @no_type_check
 def dot(a: np.ndarray, b: np.ndarray) -> float:
-    """Scalar product."""
+    """Compute the scalar product of two vectors."""
     total = 0.0
     for k in range(len(a)):
         total += a[k] * b[k]
@@ -29,7 +30,10 @@ def dot(a: np.ndarray, b: np.ndarray) -> float:
 def _add(
     step: np.ndarray, factor: float, way: np.ndarray, scale: float, along: np.ndarray
 ) -> float:
-    """Make the step scale (step + factor way); how far it goes along something then."""
+    """Update the step to scale (step + factor way).
+
+    The result is the scalar product of the new step with `along`.
+    """
     total = 0.0
     for k in range(len(step)):
         new = scale * (step[k] + factor * way[k])
@@ -41,10 +45,10 @@ def _add(
 @njit(cache=True)
 @no_type_check
 def propose(memory: Memory, force: np.ndarray, step: np.ndarray) -> None:
-    """Write the displacement that the pairs tell for a force.
+    """Compute the L-BFGS displacement for a force.
 
     Args:
-        memory: of all nodes, or of more than there are here: what follows is 0.
+        memory: of these nodes, followed by any number of others with entries of 0.
         force: all coordinates in a row.
         step: likewise; written.
     """
@@ -83,7 +87,7 @@ def propose(memory: Memory, force: np.ndarray, step: np.ndarray) -> None:
 def learn(
     memory: Memory, displacement: np.ndarray, before: np.ndarray, after: np.ndarray
 ) -> None:
-    """Remember a step that was made, if the energy curves upwards along it."""
+    """Store the pair of a step, if the curvature along it is positive."""
     curvature, square, length = 0.0, 0.0, 0.0
     for k in range(len(before)):
         change = before[k] - after[k]

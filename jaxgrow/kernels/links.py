@@ -1,7 +1,7 @@
-"""Listing single particles anew in lists that all others keep.
+"""Update of neighbour lists for single particles.
 
-The loops of `jaxgrow.neighbors.update_particle`, for the near and for the wide
-neighbours.
+The loops of `jaxgrow.neighbors.update_particle`, for near and wide lists. The entries
+of all other pairs do not change.
 """
 
 from typing import no_type_check
@@ -13,17 +13,17 @@ from numba import njit
 @njit(cache=True)
 @no_type_check
 def relink(listed: np.ndarray, one: int, places: np.ndarray, radius: float) -> bool:
-    """Give one particle the neighbours that it has now, from both sides.
+    """Update the neighbours of one particle, in its row and in theirs.
 
     Args:
         listed: neighbours of each, neighbour-major; n for empty entries, which may be
             anywhere. Written.
-        one: whose neighbours change.
-        places: where everyone was when listed, in r0.
-        radius: that neighbours are closer than, in r0.
+        one: the particle.
+        places: positions of all particles when they were listed, in r0.
+        radius: upper bound of a neighbour's distance, in r0.
 
     Returns:
-        Whether they had room.
+        Whether the capacity was sufficient.
     """
     room, count = listed.shape
     for k in range(room):

@@ -1,7 +1,8 @@
-"""Lists that do not hold any more, made anew within a descent.
+"""Rebuild of Verlet lists that are no longer valid, within a descent.
 
-As `jaxgrow.equilibrium.problem.Problem.rebuilt`: near ones are found in wide ones, wide
-ones by cells of space, and a few particles that went far are listed by themselves.
+As `jaxgrow.equilibrium.problem.Problem.rebuilt`: near lists are filtered from wide
+ones, wide ones are built by cell lists, and a few particles with long moves are
+relisted one by one.
 """
 
 import math
@@ -33,7 +34,7 @@ from jaxgrow.kernels.touching import list_all
 def _farthest(
     place: np.ndarray, before: np.ndarray, use: np.ndarray
 ) -> tuple[float, float]:
-    """The two longest moves; infinite where something is nowhere."""
+    """Find the two longest moves; infinite if a position is not finite."""
     first, second = 0.0, 0.0
     everyone = len(use) == 0
     for i in range(len(before)):
@@ -56,7 +57,7 @@ def _farthest(
 def _strays(
     place: np.ndarray, before: np.ndarray, use: np.ndarray, far: float
 ) -> np.ndarray:
-    """Who went farther than that."""
+    """Find the particles whose moves are longer than `far`."""
     found, count = np.zeros(len(before), np.int64), 0
     for i in range(len(before)):
         square = 0.0
@@ -71,7 +72,7 @@ def _strays(
 @njit(cache=True)
 @no_type_check
 def _keep(place: np.ndarray, use: np.ndarray, reference: np.ndarray) -> None:
-    """Note the places of those that count."""
+    """Store the positions of the nodes in use as the reference."""
     for i in range(len(reference)):
         if len(use) == 0 or use[i]:
             reference[i] = place[i]
@@ -87,14 +88,16 @@ def relist(
     place: np.ndarray,
     counts: np.ndarray,
 ) -> None:
-    """Make lists anew that do not hold; note those of the host, and which are full.
+    """Rebuild the lists that are not valid, and mark overflows.
+
+    It also marks whether the host must rebuild its list of collisions.
 
     Args:
-        scene: what does not change.
+        scene: the constant arrays.
         bounds: skins and radii.
         wide: wide lists; written.
         listed: near ones; written.
-        place: of particles, vertices and static vertices, in r0.
+        place: positions of particles, vertices and static vertices, in r0.
         counts: see `jaxgrow.kernels.layout.Now`; written.
     """
     count = len(scene.alive)

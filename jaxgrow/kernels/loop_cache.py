@@ -1,4 +1,4 @@
-"""Where numba keeps compiled loops, and which of those found there are no good."""
+"""Cache folder of numba's compiled loops, and removal of unusable files."""
 
 import hashlib
 import os
@@ -13,25 +13,25 @@ from jaxgrow.runtime.slow_path import warn_once
 
 
 FOLDER = "NUMBA_CACHE_DIR"
-"""Environment variable that names the folder where numba keeps loops."""
+"""Environment variable with the folder of numba's cache."""
 
 
 def prepare() -> Refusal | None:
-    """Make sure that numba can compile loops, keep them, and read those that it kept.
+    """Prepare numba and its cache: compiling, storing and reading of loops.
 
-    Loops that were compiled from other sources, and files that were cut short, are
-    deleted. Where the user's folders cannot be written to, one among the temporary
-    files is used; the environment then tells child processes so.
+    Loops that were compiled from other sources, and truncated files, are deleted. If
+    the user's folders cannot be written to, a temporary folder is used; the environment
+    passes it to child processes.
 
     Returns:
-        Why loops cannot be used; None if they can.
+        The reason why loops cannot be used; None if they can.
 
     Warns:
-        SlowPathWarning: they are kept among the temporary files.
+        SlowPathWarning: they are stored in a temporary folder.
     """
     try:
         numba: Any = import_module("numba")  # takes half a second
-    # a numba that does not fit the NumPy or the LLVM found here has many ways to say so
+    # a numba that does not fit the NumPy or the LLVM found here raises many errors
     except Exception as error:
         return Refusal(
             f"numba cannot be imported ({said(error)})",
@@ -43,7 +43,7 @@ def prepare() -> Refusal | None:
         return None
     folder = private_folder("loops")
     if folder is not None:
-        # numba reads the variable when it is imported
+        # numba has read the variable at its import
         os.environ[FOLDER] = numba.config.CACHE_DIR = str(folder)
         if _in_order():
             warn_once(
@@ -59,26 +59,26 @@ def prepare() -> Refusal | None:
 
 
 def _in_order() -> bool:
-    """Whether there is a folder, with nothing in it that numba must not read."""
+    """Return whether there is a cache folder, cleared of unusable files."""
     try:
         folder = kept_in()
         forget_others(Path(__file__).parent, folder)
         delete_damaged(folder)
-    # the first is what numba raises where it can keep loops in no folder
+    # numba raises the first if it has no folder for its cache
     except (RuntimeError, OSError):
         return False
     return True
 
 
 def kept_in() -> Path:
-    """Find where numba keeps loops: beside their source, or else as the user's.
+    """Find the folder of numba's cache: beside the sources, or the user's.
 
     Raises:
-        RuntimeError: there is no folder that it may write to.
+        RuntimeError: no folder is writable.
     """
     beside = may_be_written(Path(__file__).parent / "__pycache__")
     known = os.environ.get(FOLDER) or os.environ.get("XDG_CACHE_HOME")
-    # of a user without a home numba would make one, by the name of "~", right here
+    # for a user without a home numba would make a folder "~" in the current one
     if not (beside or known or Path(os.path.expanduser("~")).is_absolute()):
         raise RuntimeError("there is no home, and no folder is named.")
     loop: Any = import_module("numba").njit(cache=True)(_from_here)
@@ -87,18 +87,18 @@ def kept_in() -> Path:
 
 @no_type_check
 def _from_here() -> None:
-    """Nothing, but of the same folder as all loops, which is all that numba asks."""
+    """Return nothing; numba finds the cache folder by this function's source."""
 
 
 def forget_others(sources: Path, folder: Path) -> bool:
-    """Delete the loops that were compiled from other sources.
+    """Remove the loops that were compiled from other sources.
 
-    Numba looks for a newer source in the file of a loop only, not in those that it
-    calls, and files of an upgraded package may well have the same date and size.
+    Numba checks the source file of a loop only, not those of the functions that it
+    calls, and files of an upgraded package can have the same date and size.
 
     Args:
-        sources: folder of them.
-        folder: where the loops are kept.
+        sources: folder of the sources.
+        folder: of the cache.
 
     Returns:
         Whether there may have been any.
@@ -117,17 +117,17 @@ def forget_others(sources: Path, folder: Path) -> bool:
 
 
 def delete_damaged(folder: Path) -> list[Path]:
-    """Delete files of loops that end too early, as after a power cut or on a full disk.
+    """Remove truncated files of loops, as after a power cut or on a full disk.
 
-    Numba would raise what its reader raises, in this run and in every other. Files are
-    only followed to their end, and nothing in them is imported or called; 12 MB in 260
-    files take 0.05 s.
+    Numba would raise its reader's error, in this run and in every other. Files are only
+    parsed to their end, and nothing in them is imported or called; 12 MB in 260 files
+    take 0.05 s.
 
     Args:
-        folder: where the loops are kept.
+        folder: of the cache.
 
     Returns:
-        What was deleted; numba compiles it again.
+        The files that were deleted; numba compiles them again.
     """
     damaged = [path for path in _files(folder) if not _is_whole(path)]
     for path in damaged:
@@ -136,12 +136,12 @@ def delete_damaged(folder: Path) -> list[Path]:
 
 
 def _files(folder: Path) -> list[Path]:
-    """The index of each loop, and its code."""
+    """List the index files and the code files of all loops."""
     return [*folder.glob("*.nbi"), *folder.glob("*.nbc")]
 
 
 class _Anything:
-    """A stand-in for every class and function that a file names."""
+    """Placeholder for every class and function that a file names."""
 
     def __new__(cls, *_arguments: Any, **_options: Any) -> "_Anything":
         return super().__new__(cls)
@@ -163,14 +163,14 @@ class _Anything:
 
 
 class _Follower(pickle.Unpickler):
-    """A reader of pickles that imports nothing and calls nothing."""
+    """Reader of pickles that imports nothing and calls nothing."""
 
     def find_class(self, _module: str, _name: str, /) -> type[_Anything]:
         return _Anything
 
 
 def _is_whole(path: Path) -> bool:
-    """Whether a file holds one pickle after the other to its very end.
+    """Return whether a file is a complete sequence of pickles.
 
     Raises:
         OSError: it cannot be read.
@@ -182,9 +182,9 @@ def _is_whole(path: Path) -> bool:
                 _Follower(file).load()
             return size > 0
     except FileNotFoundError:
-        return True  # another process deleted it, which is as good
+        return True  # another process deleted it, so that it does no harm
     except OSError:
         raise
-    # pickle raises whatever the operations of a damaged file come upon
+    # pickle raises any error of the operations in a damaged file
     except Exception:
         return False

@@ -1,8 +1,8 @@
-"""The loop over triangles of `jaxgrow.mesh.intersection` that finds which intersect.
+"""Intersection tests of triangles, for `jaxgrow.mesh.intersection`.
 
-ipctk, which only tells whether any do, takes 1.0 to 1.3 times as long; of 302 pairs of
-triangles that meet it misses 6 that touch, and tells that 292 of 608 segments meet
-triangles that they miss (experiments/libraries.py).
+ipctk, which only returns whether any triangles intersect, takes 1.0 to 1.3 times as
+long; of 302 pairs of triangles that meet it misses 6 that touch, and it reports that
+292 of 608 segments meet triangles that they miss (experiments/libraries.py).
 """
 
 import math
@@ -17,7 +17,7 @@ from numba import njit
 def _separates(
     a: np.ndarray, b: np.ndarray, x: float, y: float, z: float, touch: float
 ) -> bool:
-    """Whether the shadows of two triangles on a direction are apart."""
+    """Return whether a direction is a separating axis of two triangles."""
     length = math.sqrt(x * x + y * y + z * z)
     if length <= 1e-12:
         return False
@@ -42,7 +42,7 @@ def _cross(
 @njit(cache=True)
 @no_type_check
 def _side(t: np.ndarray, k: int) -> tuple[float, float, float]:
-    """From corner k to the next."""
+    """Return the vector from corner k to the next."""
     n = (k + 1) % 3
     return t[n, 0] - t[k, 0], t[n, 1] - t[k, 1], t[n, 2] - t[k, 2]
 
@@ -50,7 +50,9 @@ def _side(t: np.ndarray, k: int) -> tuple[float, float, float]:
 @njit(cache=True, error_model="numpy")
 @no_type_check
 def meet(a: np.ndarray, b: np.ndarray, touch: float) -> bool:
-    """Whether two triangles meet, see `jaxgrow.mesh.intersection.meeting`.
+    """Return whether two triangles meet, by separating axes.
+
+    See `jaxgrow.mesh.intersection.meeting`.
 
     Args:
         a: corners. Overwritten.
@@ -71,7 +73,7 @@ def meet(a: np.ndarray, b: np.ndarray, touch: float) -> bool:
     mx, my, mz = _cross(*_side(b, 0), *_side(b, 1))
     if _separates(a, b, nx, ny, nz, touch) or _separates(a, b, mx, my, mz, touch):
         return False
-    # a segment has no normal: in the plane of the other triangle it needs that one
+    # a segment has no normal: in the plane of the other triangle it needs the other's
     if nx == 0.0 and ny == 0.0 and nz == 0.0:
         nx, ny, nz = mx, my, mz
     elif mx == 0.0 and my == 0.0 and mz == 0.0:
@@ -91,7 +93,10 @@ def meet(a: np.ndarray, b: np.ndarray, touch: float) -> bool:
 @njit(cache=True)
 @no_type_check
 def meeting(one: np.ndarray, other: np.ndarray, touch: float) -> np.ndarray:
-    """Whether triangle i of one list meets triangle i of the other, see `meet`."""
+    """Return whether triangle i of one list meets triangle i of the other.
+
+    See `meet`, for all i.
+    """
     result, a, b = np.zeros(len(one), np.bool_), np.zeros((3, 3)), np.zeros((3, 3))
     for i in range(len(one)):
         a[:], b[:] = one[i], other[i]
@@ -118,13 +123,15 @@ def _hinged_meet(
     b: np.ndarray,
     touch: float,
 ) -> bool:
-    """Whether the side of one opposite to the vertex that both share meets the other.
+    """Return whether two faces with a common vertex meet elsewhere.
+
+    The side of `one` opposite to the common vertex is tested against `other`.
 
     Args:
         vertices: of the mesh.
         one: vertices of a face.
         other: of another.
-        a: room for a triangle.
+        a: work array of a triangle.
         b: likewise.
         touch: see `meet`.
     """
@@ -142,9 +149,10 @@ def _hinged_meet(
 def _bounds(
     vertices: np.ndarray, faces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Lowest and highest corner of each face's box, its centre, and the radius there.
+    """Compute each face's bounding box, its centre and a bounding radius.
 
-    All of them axis by axis.
+    Lowest corner, highest corner and centre are arrays of three rows, one for each
+    axis; the radius is that of a sphere around the centre.
     """
     count = len(faces)
     low, high, centre = np.zeros((3, count)), np.zeros((3, count)), np.zeros((3, count))
@@ -168,9 +176,10 @@ def _bounds(
 def intersecting(
     vertices: np.ndarray, faces: np.ndarray, first: int, touch: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of faces that intersect, as of `intersecting_pairs`, in no order.
+    """List the pairs of faces that intersect, unsorted.
 
-    Candidates are those whose boxes meet, found by a sweep along an axis.
+    See `jaxgrow.mesh.intersection.intersecting_pairs` for the definition.
+    Candidates are pairs whose bounding boxes overlap, found by a sweep along an axis.
 
     Args:
         vertices: positions.
@@ -238,7 +247,7 @@ def _close(
     g: int,
     touch: float,
 ) -> bool:
-    """Whether the boxes and the spheres of two faces meet."""
+    """Return whether bounding boxes and spheres of two faces overlap."""
     slack, square = 0.0, 0.0
     for k in range(3):
         slack = max(slack, touch * (high[k, f] - low[k, f]))
@@ -252,7 +261,7 @@ def _close(
 @njit(cache=True)
 @no_type_check
 def _rows(pairs: list[tuple[int, int]]) -> np.ndarray:
-    """All but the first."""
+    """Convert all pairs but the first, a placeholder, into rows."""
     rows = np.zeros((len(pairs) - 1, 2), np.int64)
     for i in range(1, len(pairs)):
         rows[i - 1, 0], rows[i - 1, 1] = pairs[i]

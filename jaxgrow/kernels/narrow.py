@@ -1,4 +1,4 @@
-"""What is near now of a wide list of contacts, and of one of collisions.
+"""Narrow phase: near pairs of wide lists of contacts and of collisions.
 
 The loops of `jaxgrow.energy.contact.narrow_contacts` and
 `jaxgrow.energy.collision.narrow_collisions`.
@@ -24,17 +24,17 @@ def find_contacts(
     radius: float,
     near: Touching,
 ) -> int:
-    """Write those that are closer than a radius, in their order.
+    """Filter the contacts closer than a radius, in their order.
 
     Args:
-        wide: all that there are.
+        wide: the wide list.
         position: of the particles, in r0.
         vertices: of the membrane.
         radius: in r0.
-        near: the list; written, with padding behind.
+        near: the near list; written, with padding at the end.
 
     Returns:
-        How many they are, listed or not.
+        Number of near contacts, listed or not.
     """
     room, count, pairs = len(near.real), 0, len(wide.real)
     while pairs > 0 and not wide.real[pairs - 1]:
@@ -65,19 +65,21 @@ def find_collisions(
     skin: float,
     near: Pairs,
 ) -> int:
-    """Write those that matter until two vertices have moved by a skin together.
+    """Filter the collision pairs that can interact within a skin.
+
+    They are all that do so until the moves of two vertices sum to a skin.
 
     Args:
-        wide: all that there are.
+        wide: the wide list.
         points: the membrane's vertices, then the static ones, in r0.
         scale: collision range, in r0.
         least: distance, in r0, up to which pairs are listed in any case.
         skin: extra distance, in r0.
-        near: the list; written, with padding behind.
+        near: the near list; written, with padding at the end.
 
     Returns:
-        How many pairs of a vertex and a triangle they are, listed or not, or half as
-        many as pairs of edges if that is more.
+        Number of pairs of a vertex and a triangle, listed or not, or half the number of
+        pairs of edges if that is more.
     """
     room, count, pairs = len(near.vertex), 0, len(wide.vertex)
     while pairs > 0 and not wide.vertex_margin[pairs - 1] > 0.0:

@@ -1,4 +1,4 @@
-"""Find who is near in the wide lists of `jaxgrow.neighbors.verlet_list`."""
+"""Near neighbours in the wide lists of `jaxgrow.neighbors.verlet_list`."""
 
 from typing import no_type_check
 
@@ -22,15 +22,15 @@ def find(
     listed: np.ndarray,
     most: np.ndarray,
 ) -> None:
-    """Write the neighbours of each particle that are near now.
+    """Filter the near neighbours of each particle from a wide list.
 
     Args:
         position: of the particles, in r0; those at `AWAY` or beyond have no neighbours.
         wide: neighbours of each, particle by particle; n and above for empty entries.
-        square: of the distance that near ones are closer than.
+        square: squared upper bound of a near neighbour's distance.
         listed: the near ones of each, in their order, neighbour-major; n for empty
             entries. Written.
-        most: near ones of a particle, listed or not, at most. Written.
+        most: largest number of near ones of a particle, listed or not. Written.
     """
     count, entries = wide.shape
     room, last = listed.shape[0], np.uint32(count - 1)
@@ -47,7 +47,7 @@ def find(
             j = min(other, last)
             dx, dy, dz = x - position[j, 0], y - position[j, 1], z - position[j, 2]
             near[entry] = (dx * dx + dy * dy + dz * dz < square) & (other <= last)
-        # without a branch, which would be guessed wrong for each third
+        # without a branch, which would be mispredicted for each third
         found = np.uint64(0)
         for entry in range(asked):
             row[found] = wide[i, entry]
@@ -60,7 +60,7 @@ def find(
 @cfunc(frames.HANDLER, cache=True)
 @no_type_check
 def handler(frame: int) -> int:
-    """For XLA: arguments and results as of `find`."""
+    """Call `find` from XLA, with its arguments and results."""
     if frames.answers_version(frame):
         return 0
     bad = frames.mismatch(frame, _CODES)

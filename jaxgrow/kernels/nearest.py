@@ -1,8 +1,8 @@
-"""The loops that ask a tree of boxes for the triangle of a mesh nearest to a point.
+"""Bounding volume tree of a mesh: the triangle nearest to each point.
 
-`jaxgrow.mesh.proximity.Proximity` uses them. libigl takes 1.1 to 1.4 times as long for
+`jaxgrow.mesh.proximity.Proximity` uses it. libigl takes 1.1 to 1.4 times as long for
 closest points (0.8 where 81 920 faces are sorted first), 1.2 to 2.1 times for the
-weights of corners there, and is wrong for 12 of 500 points around triangles without an
+weights of corners there, and is wrong for 12 of 500 points around triangles of zero
 area (experiments/libraries.py).
 """
 
@@ -15,7 +15,7 @@ from jaxgrow.kernels import distances
 
 
 LEAF = 4
-"""Triangles of a leaf at most."""
+"""Largest number of triangles of a leaf."""
 
 
 @njit(cache=True, error_model="numpy")
@@ -23,16 +23,16 @@ LEAF = 4
 def plant(
     vertices: np.ndarray, faces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A tree of boxes, each node halved at the median of its triangles' centres.
+    """Build a tree of bounding boxes, by median splits of triangle centres.
 
     Args:
         vertices: of the mesh.
         faces: of the mesh.
 
     Returns:
-        The faces in the order of the leaves; for each node where its faces begin and
-        end and which of the nodes is its first child (the second is the next one; 0:
-        none); and its box, lowest corner first.
+        The faces in the order of the leaves; for each node, where its faces begin and
+        end, and the number of its first child (the second is the next node; 0: none);
+        and its box, lowest corner first.
     """
     count = len(faces)
     centre = np.zeros((count, 3))
@@ -69,7 +69,7 @@ def plant(
 def _box(
     vertices: np.ndarray, faces: np.ndarray, chosen: np.ndarray, box: np.ndarray
 ) -> None:
-    """Write the box of some faces."""
+    """Compute the bounding box of some faces."""
     for k in range(3):
         low, high = np.inf, -np.inf
         for f in chosen:
@@ -82,7 +82,7 @@ def _box(
 @njit(cache=True, error_model="numpy")
 @no_type_check
 def _to_box(box: np.ndarray, x: float, y: float, z: float) -> float:
-    """Squared distance of a point to a box, rounded down."""
+    """Compute the squared distance of a point to a box, rounded down."""
     dx = max(box[0] - x, x - box[3], 0.0)
     dy = max(box[1] - y, y - box[4], 0.0)
     dz = max(box[2] - z, z - box[5], 0.0)
@@ -99,7 +99,9 @@ def find(
     nodes: np.ndarray,
     boxes: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Distance of each point, the face where it is reached, and the weights there.
+    """Find the nearest face of each point.
+
+    Returns the distance, the face, and the barycentric weights of the closest point.
 
     Args:
         points: positions.
@@ -128,7 +130,7 @@ def find(
                     f = order[at]
                     a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
                     d, u, v, w = distances.to_triangle(points, i, vertices, a, b, c)
-                    # of equally near ones the first, whatever the order of the leaves
+                    # of equally near faces the first, in any order of the leaves
                     if d < best or (d == best and f < face[i]):
                         best, face[i] = d, f
                         weights[i, 0], weights[i, 1], weights[i, 2] = u, v, w

@@ -1,4 +1,7 @@
-"""Loops over pairs of particles, for a law that is printed (`jaxgrow.energy.pair`)."""
+"""Loops over pairs of particles, for a printed law.
+
+The law is that of `jaxgrow.energy.pair`.
+"""
 
 import math
 from typing import Any, no_type_check
@@ -22,11 +25,12 @@ def add_forces(
 ) -> None:
     """Add the pair force on every particle.
 
-    First the near neighbours of a particle are put in a row, then the law is evaluated
-    along it: both are loops without a branch, which run on several pairs at once.
+    First the near neighbours of a particle are gathered in an array, then the law is
+    evaluated on it: both loops are without branches, and are vectorised over pairs.
 
     Args:
-        slope: of the energy of a pair: function of distance, species and parameters.
+        slope: derivative of a pair's energy: function of distance, species and
+            parameters.
         position: of the particles, in r0, dead ones at `AWAY` or beyond.
         tumour: 1 for those of the tumour.
         listed: neighbours of each, neighbour-major; n and above for empty entries.
@@ -76,17 +80,17 @@ def add_products(
     along: np.ndarray,
     product: np.ndarray,
 ) -> None:
-    """Add the product of the pairs' Hessian with a displacement.
+    """Add the Hessian product of the pair energy with a displacement.
 
     Args:
         slopes: first and second derivative of the energy of a pair.
-        position: as for `add_forces`, likewise what follows.
+        position: as for `add_forces`, like the arguments below.
         tumour: likewise.
         listed: likewise.
         cutoff: likewise.
         p: likewise.
         along: the displacement.
-        product: in F(0)/r0 times it; added to.
+        product: in F(0)/r0 times the unit of the displacement; added to.
     """
     room, count = listed.shape
     gap, way, kind = (
@@ -138,13 +142,13 @@ def add_blocks(
     p: tuple,
     blocks: np.ndarray,
 ) -> None:
-    """Add the diagonal blocks of the pairs' Hessian.
+    """Add the diagonal blocks of the pair energy's Hessian.
 
-    With the distance u along n it is U'' n nᵀ + U'/u (1 - n nᵀ) of each pair.
+    Each pair at distance u along n adds U'' n nᵀ + U'/u (1 - n nᵀ).
 
     Args:
         slopes: first and second derivative of the energy of a pair.
-        position: as for `add_forces`, likewise what follows.
+        position: as for `add_forces`, like the arguments below.
         tumour: likewise.
         listed: likewise.
         cutoff: likewise.

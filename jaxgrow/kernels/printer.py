@@ -1,9 +1,9 @@
-"""Print functions of scalars, as JAX traces them, as the source of compiled loops.
+"""Code generation: traced JAX functions of scalars, printed as source.
 
-An energy is written once, as a JAX function of the scalars of one element. Its
-derivatives are taken by JAX; what is left is straight-line scalar code (a jaxpr of some
-dozens of primitives), which is printed here statement by statement. Equal expressions
-are printed once, and what nothing reads is left out.
+The source is that of compiled loops. An energy is written once, as a JAX function of
+the scalars of one element. Its derivatives are taken by JAX; the result is
+straight-line scalar code (a jaxpr of some dozens of primitives), which is printed here
+statement by statement. Equal expressions are printed once, and unused ones are omitted.
 
 A minimum or maximum returns the second operand where the first is NaN.
 """
@@ -21,7 +21,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 
 class UnprintableError(ValueError):
-    """A primitive that the printer does not know."""
+    """Error: a primitive that the printer does not support."""
 
 
 _INFIX = {
@@ -75,7 +75,7 @@ _UNCHANGED = {
     "squeeze",
     "stop_gradient",
 }
-"""Primitives that return their operands; a loop has no use for what they say."""
+"""Primitives that return their operands; their effect is void for scalars."""
 
 _NAME = re.compile(r"\bt\d+\b")
 
@@ -83,7 +83,7 @@ _NAME = re.compile(r"\bt\d+\b")
 def print_function(
     name: str, function: Callable[..., Sequence[Any]], arguments: Sequence[str]
 ) -> str:
-    """Print the source of a function of numbers that returns a tuple of numbers.
+    """Print the source of a function from numbers to a tuple of numbers.
 
     Args:
         name: of the printed function.
@@ -91,7 +91,7 @@ def print_function(
         arguments: their names.
 
     Raises:
-        UnprintableError: it uses something else than arithmetic of scalars.
+        UnprintableError: it uses other operations than arithmetic of scalars.
     """
     closed = jax.make_jaxpr(lambda *a: tuple(function(*a)))(
         *[jnp.zeros((), jnp.float64) for _ in arguments]
@@ -108,7 +108,7 @@ def print_function(
 def _needed(
     lines: list[tuple[str, str]], results: Sequence[str]
 ) -> list[tuple[str, str]]:
-    """The statements that a result depends on, in their order."""
+    """Select the statements that a result depends on, in their order."""
     needed = {name for result in results for name in _NAME.findall(result)}
     kept = []
     for target, expression in reversed(lines):
@@ -130,7 +130,7 @@ def _literal(value: Any) -> str:
 
 
 class _Printer:
-    """The statements printed so far, each expression once."""
+    """Printer of statements, each expression once."""
 
     def __init__(self, arguments: Sequence[str]) -> None:
         self.lines: list[tuple[str, str]] = []
@@ -138,7 +138,7 @@ class _Printer:
         self._known: dict[str, str] = {}
 
     def assign(self, expression: str) -> str:
-        """The name of an expression's value."""
+        """Return the name of an expression's value, and print it if it is new."""
         if expression not in self._known:
             name = f"t{len(self.lines)}"
             self.lines.append((name, expression))
@@ -146,7 +146,7 @@ class _Printer:
         return self._known[expression]
 
     def walk(self, closed: ClosedJaxpr, arguments: list[str]) -> list[str]:
-        """Print a function's statements; the names of its results."""
+        """Print a function's statements, and return the names of its results."""
         return self._walk(closed.jaxpr, list(closed.consts), arguments)
 
     def _walk(
@@ -221,7 +221,7 @@ class _Printer:
         return self.assign(f"int({operand})")
 
     def _power(self, base: str, exponent: int) -> str:
-        """A whole power by products; of a negative one the inverse."""
+        """Print an integer power by products; a negative one by the inverse."""
         left, square, result = abs(exponent), base, None
         while left:
             if left & 1:
@@ -236,7 +236,7 @@ class _Printer:
 
 
 def _shortened(name: str, one: str, other: str) -> str | None:
-    """A product with 1 or a sum with 0, which need no statement."""
+    """Return the operand of a product with 1 or a sum with 0; else None."""
     neutral = "1.0" if name == "mul" else "0.0"
     if one == neutral:
         return other

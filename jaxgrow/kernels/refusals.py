@@ -1,4 +1,4 @@
-"""Why compiled loops are not used, and what to do about it."""
+"""Reasons why compiled loops are not used, and their remedies."""
 
 from typing import NamedTuple
 
@@ -6,18 +6,18 @@ from jaxgrow.runtime.slow_path import warn_once
 
 
 class Refusal(NamedTuple):
-    """A reason not to use compiled loops.
+    """Reason not to use compiled loops.
 
     Attributes:
-        reason: what is in the way.
-        remedy: what to do; None if nobody wants them.
+        reason: the obstacle.
+        remedy: the way to remove it; None if the user disabled the loops.
     """
 
     reason: str
     remedy: str | None
 
     def say(self) -> None:
-        """Warn of it once, unless it is what the user asked for."""
+        """Issue a warning, once, unless the user disabled the loops."""
         if self.remedy is not None:
             warn_once(
                 f"compiled loops are not used, because {self.reason}; growths take up "
@@ -26,7 +26,7 @@ class Refusal(NamedTuple):
 
 
 def said(error: BaseException) -> str:
-    """First line of what an error says, shortened, with the name of its class."""
+    """Format the first line of an error, shortened, with its class's name."""
     lines = str(error).strip().splitlines()
     text = f"{type(error).__name__}: {lines[0].strip()}" if lines else repr(error)
     return text if len(text) <= 200 else text[:197] + "..."

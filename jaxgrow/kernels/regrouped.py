@@ -1,11 +1,11 @@
-"""How loops are compiled whose sums may be regrouped and fused, so that they are quick.
+"""Compilation of loops with fast-math: sums may be regrouped and fused.
 
-LLVM optimises a function again with each caller that it becomes a part of, and regroups
-otherwise each time; and of functions of the same name a process takes the one that was
-loaded first. So that the bits of a result depend neither on what a process called
-before nor on whether it compiled its loops or found them on disk, a function that may
-be regrouped is never called: it becomes a part of the handler of XLA, or of the loop of
-the host, that needs it.
+LLVM optimises an inlined function again in each caller, and can regroup its sums
+differently each time; and of functions of the same name a process uses the one that was
+loaded first. The bits of a result must depend neither on earlier calls of a process nor
+on whether its loops were compiled or read from disk. So a function that may be
+regrouped is never called: it is always inlined in the handler of XLA, or in the loop of
+the host, that uses it.
 """
 
 from numba import njit
@@ -17,4 +17,4 @@ regrouped = njit(
     error_model="numpy",
     forceinline=True,
 )
-"""Decorator of a loop; NaN and infinity stay what they are."""
+"""Decorator of a loop; NaN and infinity are preserved."""

@@ -1,14 +1,15 @@
-"""Loops that are printed: from a term's energy to the address of a compiled function.
+"""Roots: compiled loops of energy terms, printed from their energies.
 
-A *root* is what one term does at every evaluation: it adds its forces, or its Hessian's
-product with a displacement; or once for a linear solve, which it makes quicker, about
-the diagonal blocks of its Hessian, 3 × 3 for each node. Its source is printed into a
-file of the cache folder, and compiled there by numba, which keeps what it compiled
-beside it. A root is called by its address, so that it is never optimised together with
-a caller: its bits depend on nothing else.
+A *root* is the compiled function of one term that is called at every evaluation: it
+adds the term's forces, or its Hessian product with a displacement. Another function of
+it is called once for each linear solve, as a preconditioner: it adds the approximate
+diagonal blocks of the Hessian, 3 × 3 for each node. The source is printed into a file
+of the cache folder, and compiled there by numba, which caches the code beside it. A
+root is called by its address, so that it is never optimised together with a caller: its
+bits depend on its source alone.
 
-A root is given the address of a table of whole numbers: for each of its buffers the
-address and two lengths, then for each working array likewise.
+The argument of a root is the address of a table of integers: for each of its buffers
+the address and two lengths, then the numbers and addresses of `jaxgrow.kernels.tables`.
 """
 
 import contextlib
@@ -33,11 +34,11 @@ from jaxgrow.runtime.compile_cache import may_be_written, private_folder
 
 @dataclass(frozen=True)
 class Buffer:
-    """An array that a root reads.
+    """Array that a root reads.
 
     Attributes:
         name: in the root's statements.
-        kind: of its entries: "reals", "flags", "short" or "long" whole numbers.
+        kind: of its entries: "reals", "flags", "short" or "long" integers.
         rank: 1 or 2.
     """
 
@@ -47,13 +48,13 @@ class Buffer:
 
     @property
     def argument(self) -> Argument:
-        """What an array must be to be read as this."""
+        """Declaration of the array as an argument."""
         return Argument(self.name, _DTYPES[self.kind], self.rank)
 
 
 @dataclass(frozen=True)
 class Printed:
-    """A function of numbers that is printed.
+    """Function of numbers that is printed.
 
     Attributes:
         name: in the root's statements.
@@ -68,16 +69,17 @@ class Printed:
 
 @dataclass(frozen=True)
 class Root:
-    """A loop that is printed.
+    """Definition of a loop that is printed.
 
     Attributes:
         name: of its file.
         functions: that are printed from JAX functions.
-        loops: source of more functions, which call those.
+        loops: source of further functions, which call those.
         buffers: that it reads.
-        statements: its body: they know the buffers by name, `nodes` (particles, then
-            vertices, then static ones), `count` particles, the displacement `along`,
-            `out` that is added to, and the distances `clear` that are lowered.
+        statements: its body. Its variables are the buffers by name, `nodes` (particles,
+            then vertices, then static ones), the number `count` of particles, the
+            displacement `along`, `out`, to which it adds, and the distances `clear`,
+            which it lowers.
         blocks: statements that add diagonal blocks to the rows of `out`, likewise; none
             for a root of forces.
     """
@@ -119,10 +121,11 @@ from jaxgrow.kernels.regrouped import regrouped
 
 
 def source_of(root: Root) -> str:
-    """The source of a root's module.
+    """Print the source of a root's module.
 
     Raises:
-        UnprintableError: a function uses something that the printer does not know.
+        UnprintableError: a function uses an operation that the printer does not
+            support.
     """
     printed = (print_function(f.name, f.function, f.arguments) for f in root.functions)
     return "\n".join(
@@ -142,7 +145,14 @@ def source_of(root: Root) -> str:
 def _main(
     name: str, buffers: Sequence[Buffer], statements: Sequence[str], columns: int
 ) -> str:
-    """Source of the function that is called with a table; `out` has so many columns."""
+    """Print the function that is called with a table.
+
+    Args:
+        name: of the function.
+        buffers: that it reads.
+        statements: its body.
+        columns: number of columns of `out`.
+    """
     lines = ["", "@cfunc(types.void(types.intp), cache=True)", f"def {name}(table_at):"]
     words = 3 * len(buffers)
     lines += [f"    table = long_indices(table_at, ({words + 6},))"]
@@ -165,7 +175,7 @@ def _main(
 
 @functools.cache
 def cache_folder() -> Path:
-    """Folder of printed loops; where none is writable, one that is deleted."""
+    """Find the folder of printed loops; if none is writable, a temporary one."""
     choice = os.environ.get("JAXGROW_LOOPS_CACHE")
     with contextlib.suppress(OSError, RuntimeError):
         folder = Path(choice) if choice else Path.home() / ".cache/jaxgrow/loops"
@@ -180,18 +190,24 @@ def cache_folder() -> Path:
 
 
 _temporary: list[tempfile.TemporaryDirectory[str]] = []
-"""What must live as long as the process."""
+"""Temporary folders, kept as long as the process."""
 
 
 @functools.cache
 def _digest_of_loops() -> str:
-    """Of the loops that roots are made of: of all, so that none can be forgotten."""
+    """Compute the digest of the sources of all loops.
+
+    Roots use some of them only; with all of them none can be omitted.
+    """
     return _digest(sorted(Path(__file__).parent.glob("*.py")))
 
 
 @functools.cache
 def _digest_of_energies() -> str:
-    """Of all that decides what the functions of this package are printed as."""
+    """Compute the digest of the sources that printed functions depend on.
+
+    These are the functions of this package. The version of JAX is appended.
+    """
     from jax import __version__
 
     package = Path(__file__).parent.parent
@@ -209,11 +225,11 @@ def _digest(paths: Iterable[Path]) -> str:
 
 
 def load(name: str, make: Callable[[], Root], *, of_package: bool) -> ModuleType:
-    """The compiled module of a root, printed if it is not in the cache folder.
+    """Load the compiled module of a root; print it if it is not in the cache.
 
-    Its file is named by what is printed, and by the loops that it calls. What a root of
-    this package is printed as is noted by the sources that it is printed from, so that
-    it is found again without being traced.
+    Its file is named by the digests of the printed source and of the loops that it
+    calls. For a root of this package, a key file, named by the digest of the sources
+    that it is printed from, holds this name, so that it is found without being traced.
 
     Args:
         name: of the root.
@@ -221,7 +237,8 @@ def load(name: str, make: Callable[[], Root], *, of_package: bool) -> ModuleType
         of_package: whether it depends on the sources of this package alone.
 
     Raises:
-        UnprintableError: a function uses something that the printer does not know.
+        UnprintableError: a function uses an operation that the printer does not
+            support.
     """
     folder = cache_folder()
     note = folder / f"{name}_{_short(name + _digest_of_energies())}.key"
@@ -244,14 +261,14 @@ def _short(text: str) -> str:
 
 
 def _imported(path: Path) -> ModuleType:
-    """The module of a file; the same one whoever asks.
+    """Import the module of a file, once per process.
 
-    What numba kept of it is compiled anew if it cannot be read.
+    If numba's cached code cannot be read, it is deleted and compiled again.
     """
     if path.stem not in sys.modules:
         try:
             return _executed(path)
-        # a file that was cut short makes numba's reader raise many things
+        # numba's reader raises many errors for a truncated file
         except Exception:
             for kept in _kept_of(path):
                 kept.unlink(missing_ok=True)
@@ -264,8 +281,8 @@ def _executed(path: Path) -> ModuleType:
     assert spec is not None
     assert spec.loader is not None
     module = module_from_spec(spec)
-    # numba looks for the module by its name, and cannot read again what it keeps of
-    # one that it does not find
+    # numba looks up the module by its name, and cannot read the cached code of a module
+    # that it does not find
     sys.modules[path.stem] = module
     try:
         spec.loader.exec_module(module)
@@ -276,7 +293,7 @@ def _executed(path: Path) -> ModuleType:
 
 
 def _kept_of(path: Path) -> list[Path]:
-    """What numba kept of a printed file."""
+    """List numba's cached files of a printed module."""
     named = os.environ.get("NUMBA_CACHE_DIR")
     return [
         kept
@@ -286,7 +303,7 @@ def _kept_of(path: Path) -> list[Path]:
 
 
 def _write(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
+    """Write a file atomically: whole or not at all."""
     with tempfile.NamedTemporaryFile(
         "w", dir=path.parent, suffix=".part", delete=False, encoding="utf-8"
     ) as file:

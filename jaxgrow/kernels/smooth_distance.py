@@ -1,6 +1,6 @@
-"""Smooth distances of points to triangles, and how they change with the nodes.
+"""Smooth distances of points to triangles, with their derivatives.
 
-This is the geometry that contact and collision have in common; their laws are printed.
+This is the geometry common to contact and collision; their laws are printed.
 """
 
 from typing import no_type_check
@@ -24,21 +24,21 @@ def smooth_distances(
     half: float,
     reach: float,
 ) -> tuple:
-    """Find the smooth distance of each point to its triangles.
+    """Compute the smooth distance of each point to its triangles.
 
     Args:
         points: in r0.
         owner: the point of each pair, ascending.
         vertices: of the triangles.
         corners: of each pair's triangle, corner by corner.
-        counts: which pairs have a part in the smooth minimum.
+        counts: mask of the pairs that enter the smooth minimum.
         scale: range of the interaction, in r0.
-        half: of the sharpness.
-        reach: distance, in ranges, beyond which a triangle does not count.
+        half: half of the sharpness.
+        reach: distance, in ranges, beyond which a triangle is ignored.
 
     Returns:
         Closest points of the pairs (see `jaxgrow.kernels.closest`), their distances in
-        ranges, and what `jaxgrow.kernels.smooth_minimum.smooth_minima` writes: the
+        ranges, and the results of `jaxgrow.kernels.smooth_minimum.smooth_minima`: the
         smooth distance of the owner of each pair, its derivatives, and powers.
     """
     pairs = len(owner)
@@ -63,7 +63,7 @@ def approach(
     b: int,
     c: int,
 ) -> float:
-    """How fast the distance of a pair grows along a displacement."""
+    """Compute the derivative of a pair's distance along a displacement."""
     v, w = found[OF_B, pair], found[OF_C, pair]
     total = 0.0
     for axis in range(3):
@@ -82,17 +82,17 @@ def _turned(
     ways: tuple,
     along: tuple,
 ) -> tuple[float, float]:
-    """How the closest point slides over its triangle: changes of two weights.
+    """Compute the changes of two barycentric weights of the closest point.
 
-    Where all weights are positive it keeps the offset normal to both sides, where two
-    are to the one between them; in a corner it stays.
+    If all weights are positive, the offset stays normal to both sides; if two are, it
+    stays normal to the side between them; at a corner the weights do not change.
 
     Args:
         weight: of the three corners.
         offset: from the closest point to the point.
         corners: coordinates of all three.
         ways: their displacements.
-        along: displacement of the point against the closest point of fixed weights.
+        along: displacement of the point relative to the closest point of fixed weights.
     """
     wa, wb, wc = weight
     a, b, c = corners
@@ -139,12 +139,12 @@ def add_bent(
     on_point: np.ndarray,
     on_vertices: np.ndarray,
 ) -> None:
-    """Add `first` of the gradient of a distance, `second` of its Hessian's product.
+    """Add multiples of a distance's gradient and of its Hessian product.
 
     With the direction n from the closest point, whose weights are w, the gradient is n
-    for the point and -w n for the corners; so the product is the change of n for the
+    for the point and -w n for the corners; so the product is the change δn for the
     point, and -w δn - δw n for the corners. Printed from the second derivative of
-    `jaxgrow.energy.distance.triangle_distance` it takes five times as long.
+    `jaxgrow.energy.distance.triangle_distance`, it takes five times as long.
 
     Args:
         first: factor of the gradient.
@@ -152,7 +152,7 @@ def add_bent(
         found: closest points.
         pair: the pair.
         i: the point.
-        vertices: where the triangle is.
+        vertices: with those of the triangle.
         a: its first corner.
         b: its second.
         c: its third.
@@ -203,7 +203,7 @@ def add_squares(
     of_point: np.ndarray,
     of_vertices: np.ndarray,
 ) -> None:
-    """Add stiffness n nᵀ, times the squares of weights, to the blocks of a pair.
+    """Add stiffness n nᵀ, times squared weights, to the blocks of a pair.
 
     Args:
         stiffness: along the direction n from the closest point to the point.

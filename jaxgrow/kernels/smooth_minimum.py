@@ -1,4 +1,4 @@
-"""The smooth minimum of `jaxgrow.energy.smooth_minimum`, with its derivative."""
+"""Smooth minimum of `jaxgrow.energy.smooth_minimum`, with derivatives."""
 
 import math
 from typing import no_type_check
@@ -9,16 +9,16 @@ from jaxgrow.kernels.regrouped import regrouped
 
 
 _LEAST = 1e-30
-"""Distance that stands for 0, see `jaxgrow.numerics.guards.smallest_distance`."""
+"""Distance in place of 0, see `jaxgrow.numerics.guards.smallest_distance`."""
 
 _LARGEST_WHOLE = 64.0
-"""Exponent up to which powers are made by products, if it is a whole one."""
+"""Largest integer exponent for which powers are computed by products."""
 
 
 @regrouped
 @no_type_check
 def _power(base: float, exponent: float) -> float:
-    """A positive base to a power."""
+    """Raise a positive base to a power."""
     if exponent != math.floor(exponent) or exponent > _LARGEST_WHOLE:
         return base**exponent
     left, value = np.int64(exponent), 1.0
@@ -33,7 +33,7 @@ def _power(base: float, exponent: float) -> float:
 @regrouped
 @no_type_check
 def _raise(base: np.ndarray, exponent: float, value: np.ndarray) -> None:
-    """Write the powers of a row, which is used up; product after product of all."""
+    """Raise all entries of an array, which is overwritten, to a power."""
     if exponent != math.floor(exponent) or exponent > _LARGEST_WHOLE:
         for k in range(len(base)):
             value[k] = base[k] ** exponent
@@ -61,16 +61,17 @@ def smooth_minima(
     slope: np.ndarray,
     power: np.ndarray,
 ) -> None:
-    """Write the smooth minimum of the values of each owner, and its derivative.
+    """Compute the smooth minimum of each owner's values, with its derivative.
 
     Args:
         owner: of each value, ascending.
-        value: not negative; what is not below the reach does not count.
-        half: of the sharpness.
+        value: not negative; values not below the reach are ignored.
+        half: half of the sharpness.
         reach: R of the formula.
-        u: the smooth minimum, of the owner of each value; the reach where none counts.
-        slope: its derivative in each value, 0 of those that do not count.
-        power: of each value, by the least of its owner, to the exponent -half.
+        u: the smooth minimum, of the owner of each value; the reach if all of its
+            values are ignored. Written.
+        slope: its derivative with respect to each value; 0 for ignored ones. Written.
+        power: each value over its owner's least, to the power of -half. Written.
     """
     count = len(value)
     share, far = np.zeros(count), np.zeros(count)
@@ -123,19 +124,19 @@ def smooth_changes(
     along: np.ndarray,
     turned: np.ndarray,
 ) -> None:
-    """Write how the smooth minimum and its derivative change with the values.
+    """Compute the changes of the smooth minimum and of its derivative.
 
     Args:
         owner: of each value, ascending.
         value: as for `smooth_minima`.
-        moved: changes of the values; 0 of those that do not count.
-        half: as for `smooth_minima`, likewise what follows.
+        moved: changes of the values; 0 for ignored ones.
+        half: as for `smooth_minima`, like the arguments below.
         reach: likewise.
         u: likewise.
         slope: likewise.
         power: likewise.
         along: change of the minimum, of the owner of each value. Written.
-        turned: change of the derivative in each value. Written.
+        turned: change of the derivative with respect to each value. Written.
     """
     count = len(value)
     start = 0

@@ -1,17 +1,17 @@
-"""The linear response of `jaxgrow.equilibrium.hessian_solve` as one loop.
+"""Preconditioned conjugate gradients for the linear response, as one loop.
 
-Conjugate gradients on Hessian products of the terms' roots (see
-`jaxgrow.kernels.roots`). Where something is pinned or held, as in every patch,
-residuals are scaled by the inverse of the Hessian's diagonal blocks (block Jacobi),
-3 × 3 for each node, which takes half to two thirds of the products; where rigid modes
-have to be projected out they are not.
+The method is that of `jaxgrow.equilibrium.hessian_solve`, with Hessian products of the
+terms' roots (see `jaxgrow.kernels.roots`). If some nodes are pinned or held, as in
+every patch, the preconditioner is the inverse of the Hessian's diagonal blocks (block
+Jacobi), 3 × 3 for each node; it reduces the products to half to two thirds. If rigid
+modes must be projected out, there is none.
 
-Arguments: addresses of the roots, their wiring, which particles are alive, nodes, which
-of them are free, whether the whole may shift and turn, the force, limits (relative
-residual to stop at, most products, and least curvature over the largest met), a force
-without symmetry, the blocks or about them, and the buffers. Results: the displacement;
-its residual and the smallest curvature met; numbers of products and of null modes, and
-the code of the `Result`.
+Arguments: addresses of the roots, their wiring, mask of particles alive, nodes, mask of
+free nodes, whether the whole may translate and rotate, the force, limits (relative
+residual at the end, largest number of products, and least curvature over the largest
+met), a force without symmetry, the blocks or approximate ones, and the buffers.
+Results: the displacement; its residual and the smallest curvature met; numbers of
+products and of null modes, and the code of the `Result`.
 """
 
 import math
@@ -31,12 +31,11 @@ CONVERGED, SINGULAR = Result.CONVERGED.code, Result.SINGULAR.code
 NOT_SOLVED = Result.NOT_SOLVED.code
 
 _LEAST = 0.02
-"""Stiffness, over the mean of all nodes, that softer nodes are given if their block has
-no inverse."""
+"""Least stiffness, over the mean of all nodes, of nodes whose block is singular."""
 
 _THIN = 1e-12
-"""Determinant of a block, over the cube of its mean stiffness, from which on it has an
-inverse."""
+"""Determinant of a block, over the cube of its mean stiffness, below which it counts as
+singular."""
 
 
 @regrouped
@@ -58,7 +57,7 @@ def _multiply(
     way: np.ndarray,
     product: np.ndarray,
 ) -> None:
-    """Write the Hessian's product with a vector, on what is free, into `product`."""
+    """Compute the Hessian product with a vector, on free nodes, in `product`."""
     for i in range(len(free)):
         for axis in range(3):
             way[i, axis] = vector[i, axis] if free[i] else 0.0
@@ -74,7 +73,7 @@ def _multiply(
 def _rigid_modes(
     nodes: np.ndarray, touching: np.ndarray, shifts: bool, turns: bool
 ) -> np.ndarray:
-    """Orthonormal motions of the whole; as many as there are."""
+    """Build an orthonormal basis of the rigid motions."""
     count, centre = 0, np.zeros(3)
     for i in range(len(touching)):
         if touching[i]:
@@ -109,7 +108,7 @@ def _rigid_modes(
 @njit(cache=True)
 @no_type_check
 def _project(modes: np.ndarray, vector: np.ndarray) -> None:
-    """Take a vector's part in orthonormal modes out of it."""
+    """Project orthonormal modes out of a vector."""
     for mode in range(len(modes)):
         part = _dot(modes[mode], vector)
         for i in range(len(vector)):
@@ -120,7 +119,10 @@ def _project(modes: np.ndarray, vector: np.ndarray) -> None:
 @njit(cache=True)
 @no_type_check
 def _invert(block: np.ndarray, least: float, inverse: np.ndarray) -> None:
-    """Write the inverse of a symmetric block, or of its mean if it is not positive."""
+    """Compute the inverse of a symmetric block.
+
+    If it is not positive definite, that of its mean stiffness, `least` at least.
+    """
     a, b, c, d, e, f = block[0], block[1], block[2], block[4], block[5], block[8]
     of_a, of_b, of_c = d * f - e * e, c * e - b * f, b * e - c * d
     of_f = a * d - b * b
@@ -142,7 +144,7 @@ def _invert(block: np.ndarray, least: float, inverse: np.ndarray) -> None:
 @njit(cache=True)
 @no_type_check
 def _scales(blocks: np.ndarray, touching: np.ndarray) -> np.ndarray:
-    """The inverse of the block of each row; 0 for rows that feel nothing."""
+    """Compute the inverse of each node's block; 0 without interactions."""
     mean, count = 0.0, 0
     for i in range(len(touching)):
         if touching[i]:
@@ -173,7 +175,7 @@ def solve(
     numbers: np.ndarray,
     counts: np.ndarray,
 ) -> None:
-    """Write the response to a force; see the module."""
+    """Solve for the response to a force; see the module."""
     rows = len(free)
     relative, most, least = limits[0], limits[1], limits[2]
     hp = product[:rows]
@@ -193,7 +195,7 @@ def solve(
             b[i, axis] = force[i, axis] if touching[i] else 0.0
     whole = _dot(b, b)
     _project(modes, b)
-    # of a force that only shifts or turns, rounding is left, which has no solution
+    # a force that only translates or rotates leaves rounding, which has no solution
     if _dot(b, b) <= (100 * np.finfo(np.float64).eps) ** 2 * whole:
         b[:] = 0.0
     size = _dot(b, b)
@@ -277,7 +279,7 @@ _CODES = codes_of(ARGUMENTS, RESULTS, more=True)
 @cfunc(frames.HANDLER, cache=True)
 @no_type_check
 def handler(frame: int) -> int:
-    """For XLA: arguments and results as told above."""
+    """Call `solve` from XLA; see the module for arguments and results."""
     if frames.answers_version(frame):
         return 0
     bad = frames.mismatch(frame, _CODES)

@@ -1,8 +1,8 @@
-"""The loop of `jaxgrow.equilibrium.descent` with L-BFGS: all steps of a relaxation.
+"""L-BFGS descent as one compiled loop: all steps of a relaxation.
 
-It evaluates, learns, proposes, bounds and moves, and makes lists anew, until the
-tolerance is reached, or the host must list what may collide. The names are those of
-that module, which says what they do and in which order.
+It evaluates, learns, proposes, bounds and moves, and rebuilds lists, until the
+tolerance is reached, or the host must rebuild the list of collisions. The names are
+those of `jaxgrow.equilibrium.descent`, which explains them and their order.
 """
 
 import math
@@ -39,9 +39,9 @@ ON_MEMBRANE = Result.ON_MEMBRANE.code
 @njit(cache=True)
 @no_type_check
 def _masked(force: np.ndarray, free: np.ndarray, into: np.ndarray) -> float:
-    """Write the forces that count, all coordinates in a row; the largest of them.
+    """Copy the forces on free nodes in a row, and return the largest norm.
 
-    NaN if one is not a number.
+    It is NaN if one of them is NaN.
     """
     most = 0.0
     for i in range(len(free)):
@@ -63,10 +63,13 @@ def _masked(force: np.ndarray, free: np.ndarray, into: np.ndarray) -> float:
 def _bound(
     step: np.ndarray, free: np.ndarray, clear: np.ndarray, largest: float
 ) -> bool:
-    """Cut a step: to the largest as a whole, then row by row to 0.4 of the clearance.
+    """Bound a step: scale it as a whole, then each row by its clearance.
+
+    The longest row is scaled to `largest` at most, then each row is clipped to 0.4 of
+    its clearance.
 
     Returns:
-        Whether something that may move has no clearance at all.
+        Whether a free node has no clearance at all.
     """
     longest = 0.0
     for i in range(len(step)):
@@ -100,18 +103,20 @@ def descend(
     now: Now,
     memory: Memory,
 ) -> None:
-    """Make steps until the end, or until the host must list collisions at the trial.
+    """Make steps until the end, or until the host must list collisions.
+
+    In that case it must do so at the trial positions.
 
     Args:
         frame: address of XLA's call, whose arguments are the buffers of the terms.
         changed: number of the first argument that became a result.
         addresses: of the terms' roots (see `jaxgrow.kernels.roots`).
         wiring: numbers of the arguments that are their buffers.
-        scene: what does not change.
-        bounds: numbers that end the loop, or a list.
+        scene: the constant arrays.
+        bounds: of the descent, and of the validity of its lists.
         wide: wide lists; written.
         listed: near ones; written.
-        now: where the descent stands; written.
+        now: state of the descent; written.
         memory: of L-BFGS; written.
     """
     count, total = len(scene.alive), len(scene.free)
@@ -121,7 +126,7 @@ def descend(
     for i in range(count):
         if not scene.alive[i]:
             place[i] = AWAY
-    moving = total  # behind the last node that may move there is only padding
+    moving = total  # nodes after the last free one are skipped
     while moving > 0 and not scene.free[moving - 1]:
         moving -= 1
     free, way = scene.free[:moving], now.step[:moving]

@@ -1,4 +1,4 @@
-"""Tables that roots are called with (`jaxgrow.kernels.roots`), and their calls."""
+"""Argument tables of roots (`jaxgrow.kernels.roots`), and their calls."""
 
 from typing import Any, no_type_check
 
@@ -11,14 +11,14 @@ from jaxgrow.kernels import frames
 
 
 WORDS = 6
-"""Of a table behind its buffers: number of nodes and of particles, and addresses of
-nodes, displacement, result and distances."""
+"""Number of words of a table after its buffers: numbers of nodes and of particles, and
+addresses of nodes, displacement, result and distances."""
 
 
 @intrinsic
 @no_type_check
 def call(_context: Any, _function_at: Any, _argument: Any) -> Any:
-    """Call a compiled function of a whole number by its address."""
+    """Call a compiled function of an integer by its address."""
     signature = types.void(types.intp, types.intp)
 
     def generate(context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
@@ -42,7 +42,7 @@ def make_tables(
     out: np.ndarray,
     clear: np.ndarray,
 ) -> np.ndarray:
-    """The table of each root.
+    """Build the argument table of each root.
 
     Args:
         frame: address of XLA's call.
@@ -51,8 +51,8 @@ def make_tables(
         count: number of particles.
         nodes: particles, then vertices, then static vertices, in r0.
         along: a displacement of them.
-        out: what roots add to.
-        clear: what they lower.
+        out: array to which roots add.
+        clear: distances that they lower.
     """
     roots, most = wiring.shape
     tables = np.zeros((roots, 3 * most + WORDS), np.int64)

@@ -1,9 +1,9 @@
-"""The terms of an energy as a handler of XLA: one evaluation of their roots.
+"""XLA handler that evaluates the roots of an energy's terms once.
 
-Arguments: addresses of the roots, wiring (see `jaxgrow.kernels.tables`), which
-particles are alive, nodes, a displacement (of no rows for forces and blocks), and the
-buffers. Results: what the roots add up, in 3 columns or, for blocks, in 9; and the
-distances to what each node must not cross.
+Arguments: addresses of the roots, wiring (see `jaxgrow.kernels.tables`), mask of
+particles alive, nodes, a displacement (without rows for forces and blocks), and the
+buffers. Results: the sum of the roots' results, in 3 columns or, for blocks, in 9; and
+the clearance of each node, its distance to the nearest element that it must not cross.
 """
 
 from typing import no_type_check
@@ -31,7 +31,7 @@ _CODES = codes_of(ARGUMENTS, RESULTS, more=True)
 @cfunc(frames.HANDLER, cache=True)
 @no_type_check
 def handler(frame: int) -> int:
-    """For XLA: arguments and results as told above."""
+    """Call all roots from XLA; see the module for arguments and results."""
     if frames.answers_version(frame):
         return 0
     bad = frames.mismatch(frame, _CODES)

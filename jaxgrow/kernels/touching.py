@@ -1,4 +1,4 @@
-"""All pairs of a particle and a triangle within a distance, found by cells of space.
+"""Contact pairs of particles and triangles, found by a cell list.
 
 The loop of `jaxgrow.energy.contact.list_contacts`.
 """
@@ -15,7 +15,7 @@ from jaxgrow.kernels.regrouped import regrouped
 
 
 _MOST_CELLS = 64
-"""Along an axis; cells are larger where there would be more."""
+"""Largest number of cells along an axis; cells are enlarged if there would be more."""
 
 
 @regrouped
@@ -23,7 +23,11 @@ _MOST_CELLS = 64
 def _spheres(
     vertices: np.ndarray, faces: np.ndarray, alive: np.ndarray, radius: float
 ) -> np.ndarray:
-    """Centre and radius of a sphere for each triangle that holds what is within."""
+    """Compute a sphere for each triangle, with all points near the triangle.
+
+    It holds the points within `radius` of the triangle.
+    Each row is its centre and its radius; 0 for dead triangles.
+    """
     found = np.zeros((len(faces), 4))
     for face in range(len(faces)):
         if not alive[face]:
@@ -38,7 +42,7 @@ def _spheres(
             for axis in range(3):
                 square += (vertices[corner, axis] - found[face, axis]) ** 2
             size = max(size, square)
-        # so that rounding loses nothing
+        # so that rounding omits no pair
         whole = (radius + math.sqrt(size)) * (1.0 + 1e-12)
         found[face, 3] = whole if whole < np.inf else 0.0
     return found
@@ -55,7 +59,10 @@ def _cell(place: float, low: float, size: float, side: int) -> int:
 def _in_spheres(
     position: np.ndarray, alive: np.ndarray, spheres: np.ndarray, radius: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of a particle and a sphere that it is in, by particle, then by sphere."""
+    """List the pairs of a particle and a sphere around it.
+
+    They are sorted by particle, then by sphere.
+    """
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for face in range(len(spheres)):
         for axis in range(3):
@@ -94,7 +101,7 @@ def _in_spheres(
         if number[i] >= 0:
             order[free[number[i]]] = i
             free[number[i]] += 1
-    # by sphere first, without a branch, which would be guessed wrong for each second
+    # by sphere first, without a branch, which would be mispredicted for each second
     found, room = 0, 4 * len(order) + 64
     owner, face_of = np.zeros(room, np.int64), np.zeros(room, np.int64)
     for face in range(len(spheres)):
@@ -130,7 +137,7 @@ def _in_spheres(
 def _by_owner(
     owner: np.ndarray, face_of: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The same pairs, those of the first owner first, otherwise in their order."""
+    """Sort pairs by their owner; the sort is stable."""
     begin = np.zeros(count + 1, np.int64)
     for i in owner:
         begin[i + 1] += 1
@@ -155,21 +162,22 @@ def list_all(
     radius: float,
     listed: Touching,
 ) -> int:
-    """Write all pairs closer than a radius, by particle, then by triangle.
+    """List all pairs closer than a radius, by particle, then by triangle.
 
-    Spheres around the triangles leave candidates, exact distances decide.
+    Spheres around the triangles select candidates, which are filtered by exact
+    distances.
 
     Args:
         position: of the particles, in r0.
-        alive: which of them count.
+        alive: mask of the particles that are not padding.
         vertices: of the membrane.
         faces: its triangles.
-        face_alive: which of them count.
+        face_alive: mask of the triangles that are not padding.
         radius: in r0.
-        listed: the list; written, with padding behind.
+        listed: the list; written, with padding at the end.
 
     Returns:
-        How many they are, listed or not.
+        Number of pairs, listed or not.
     """
     spheres = _spheres(vertices, faces, face_alive, radius)
     owner, face_of = _in_spheres(position, alive, spheres, radius)
@@ -195,7 +203,7 @@ def list_all(
 @njit(cache=True)
 @no_type_check
 def pad(listed: Touching, count: int, particles: int) -> None:
-    """Write the padding behind so many pairs."""
+    """Write the padding after the first `count` pairs."""
     for pair in range(count, len(listed.real)):
         listed.particle[pair], listed.face[pair] = particles - 1, 0
         listed.corners[:, pair], listed.real[pair] = 0, False

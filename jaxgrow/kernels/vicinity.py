@@ -1,7 +1,8 @@
-"""Loops over cells of space around some of many points: who is near, and what it feels.
+"""Local cell lists around a few of many points, for the host.
 
-They touch the cells around those points and pass once over everything else, so that
-what happens among a few costs about as much in a crowd of any size. Called by the host.
+They find neighbours, and update pair forces. The loops visit the cells around those
+points, and pass once over all others, so that the cost depends mainly on the number of
+these few.
 """
 
 import math
@@ -14,16 +15,16 @@ from jaxgrow.kernels.regrouped import regrouped
 
 
 _MOST_CELLS = 64
-"""Along an axis; cells are larger where points are farther apart."""
+"""Largest number of cells along an axis; cells are enlarged if there would be more."""
 
 _SLACK = 1.0001
-"""Size of a cell over the radius, so that rounding loses no pair."""
+"""Size of a cell over the radius, so that rounding omits no pair."""
 
 
 @njit(cache=True)
 @no_type_check
 def _box_of(points: np.ndarray, chosen: np.ndarray, box: np.ndarray) -> None:
-    """Widen a box, its lower and its upper corner, to hold the chosen points."""
+    """Enlarge a box, given by two corners, to hold the chosen points."""
     for i in range(len(points)):
         if chosen[i]:
             for axis in range(3):
@@ -34,7 +35,7 @@ def _box_of(points: np.ndarray, chosen: np.ndarray, box: np.ndarray) -> None:
 @njit(cache=True)
 @no_type_check
 def _inside(point: np.ndarray, box: np.ndarray) -> bool:
-    """Whether it is in a box; what is nowhere is not."""
+    """Return whether a point is in a box; non-finite points are not."""
     inside = True
     for axis in range(3):
         inside &= (box[0, axis] <= point[axis]) & (point[axis] <= box[1, axis])
@@ -44,7 +45,10 @@ def _inside(point: np.ndarray, box: np.ndarray) -> bool:
 @njit(cache=True)
 @no_type_check
 def _cells(box: np.ndarray, size: float) -> tuple[np.ndarray, float, np.ndarray]:
-    """Cells over a box with an empty one on all sides: corner, size, their numbers."""
+    """Choose the cells over a box, with an empty layer on all sides.
+
+    Returns the lowest corner, the size of a cell, and the numbers along the axes.
+    """
     widest = 0.0
     for axis in range(3):
         widest = max(widest, box[1, axis] - box[0, axis])
@@ -67,7 +71,10 @@ def _cell(point: np.ndarray, low: np.ndarray, size: float, sides: np.ndarray) ->
 @njit(cache=True)
 @no_type_check
 def _rows(sides: np.ndarray) -> np.ndarray:
-    """From a cell to the first of each three in a row around it, its own ones first."""
+    """Compute the offsets from a cell to the 9 rows of 3 cells around it.
+
+    Each offset is that of the row's first cell; the cell's own row is the first.
+    """
     steps = np.zeros(9, np.int64)
     for way in range(9):
         other = (way + 4) % 9
@@ -84,7 +91,10 @@ def _sort(
     size: float,
     sides: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The chosen points by their cells: where those of each begin, and all of them."""
+    """Sort the chosen points by their cells.
+
+    Returns where the points of each cell begin, and the sorted points.
+    """
     first = np.zeros(sides[0] * sides[1] * sides[2] + 1, np.int64)
     cell = np.zeros(len(chosen), np.int64)
     for place in range(len(chosen)):
@@ -108,9 +118,9 @@ def near(
 
     Args:
         points: many, in r0.
-        seeds: few; one that is not finite is near nobody.
+        seeds: few; one that is not finite has no neighbours.
         radius: in r0.
-        found: of each point. Written.
+        found: mask of the points. Written.
     """
     known = np.zeros(len(seeds), np.bool_)
     for k in range(len(seeds)):
@@ -157,16 +167,18 @@ def differ(
     alive_before: np.ndarray,
     changed: np.ndarray,
 ) -> int:
-    """Mark the particles of which anything is another than before; how many they are.
+    """Mark the particles that changed, and return their number.
+
+    A particle changed if its position, its species or its being alive did.
 
     Args:
         position: of all, in r0.
         species: of all.
-        alive: which are not padding.
-        position_before: where they were, in r0.
-        species_before: what they were.
-        alive_before: which were alive.
-        changed: whether anything is another, or no number. Written.
+        alive: mask of those that are not padding.
+        position_before: former positions, in r0.
+        species_before: former species.
+        alive_before: former mask.
+        changed: mask of those that changed, or have a coordinate NaN. Written.
     """
     count = 0
     for i in range(len(position)):
@@ -209,16 +221,16 @@ def _gather(
     others: np.ndarray,
     stiffer: np.ndarray,
 ) -> int:
-    """Put what is in the cells around one in a row; how many they are.
+    """Gather the points in and around a cell, and return their number.
 
     Args:
-        cell: the one.
-        steps: from it to the others, see `_rows`.
-        first: of each cell.
+        cell: its number.
+        steps: offsets to the rows around it, see `_rows`.
+        first: where the points of each cell begin.
         position: in the order of the cells.
         tumour: likewise.
-        others: coordinates of those around. Written.
-        stiffer: which of them are of the tumour. Written.
+        others: coordinates of the gathered points. Written.
+        stiffer: mask of those of the tumour. Written.
     """
     count = 0
     for way in range(9):
@@ -234,7 +246,7 @@ def _gather(
 @njit(cache=True)
 @no_type_check
 def _most_around(first: np.ndarray, touched: np.ndarray, steps: np.ndarray) -> int:
-    """Points in a touched cell and those around it, at most."""
+    """Count the points in and around each touched cell; return the largest."""
     most = 0
     for cell in range(len(touched)):
         if touched[cell] and first[cell + 1] > first[cell]:
@@ -261,7 +273,7 @@ def _add_up(
     close: np.ndarray,
     force: np.ndarray,
 ) -> None:
-    """Write the force on a point by what may be near; as `jaxgrow.kernels.pair`."""
+    """Compute the force on a point from candidates, as `jaxgrow.kernels.pair`."""
     x, y, z = point[0], point[1], point[2]
     own = 1.0 if tumour else 0.0
     for k in range(count):
@@ -297,21 +309,21 @@ def renew(
     p: tuple,
     force: np.ndarray,
 ) -> None:
-    """Write the pair forces on all particles near those that changed, old and new.
+    """Update the pair forces on all particles near those that changed.
 
-    Only where one of them is, or was, within the cutoff is a force another one now.
+    Forces change only where a changed particle is, or was, within the cutoff.
 
     Args:
-        slope: of the energy of a pair, as for `jaxgrow.kernels.pair.add_forces`.
+        slope: derivative of a pair's energy, as for `jaxgrow.kernels.pair.add_forces`.
         position: of all particles, in r0.
-        tumour: which are of the tumour.
-        alive: which are not padding.
-        before: where they were when the forces were right.
-        alive_before: which were alive then.
-        changed: those of which anything is another now.
+        tumour: mask of those of the tumour.
+        alive: mask of those that are not padding.
+        before: positions for which the given forces are valid, in r0.
+        alive_before: mask of those alive then.
+        changed: mask of the particles that changed since.
         cutoff: distance in r0 beyond which no pair interacts.
         p: parameters of the law.
-        force: in F(0); right for what was before. Written.
+        force: in F(0); valid for the former state. Written.
     """
     is_here, was_there = changed & alive, changed & alive_before
     for i in np.flatnonzero(changed):
@@ -348,7 +360,7 @@ def renew(
             continue
         count = _gather(cell, steps, first, own, kind, others, stiffer)
         for place in range(first[cell], first[cell + 1]):
-            # farther out not all neighbours are members, and nothing changed
+            # farther out not all neighbours are members, and no force changed
             if _inside(own[place], concerned):
                 _add_up(
                     slope,

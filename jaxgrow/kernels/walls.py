@@ -1,4 +1,4 @@
-"""Find which faces of `jaxgrow.mesh.collision_mesh.Walls` are near."""
+"""Search for near faces of `jaxgrow.mesh.collision_mesh.Walls`."""
 
 import math
 from typing import no_type_check
@@ -17,15 +17,17 @@ def near(
     points: np.ndarray,
     distance: float,
 ) -> np.ndarray:
-    """Faces whose sphere is within a distance of some point, and box of all points.
+    """Find the faces that may be within a distance of some point.
 
-    Points are asked in the order of the coordinate in which they are farthest apart.
+    The bounding sphere of a face must be within this distance of a point, and its box
+    of the bounding box of all points. Points are sorted along the axis of their largest
+    extent.
 
     Args:
-        low: corner of each face's box.
-        high: its opposite corner.
+        low: lowest corner of each face's box.
+        high: its highest corner.
         centre: of each face.
-        radius: of the sphere there that holds it.
+        radius: of the bounding sphere there.
         points: one at least.
         distance: the bound.
     """
@@ -47,7 +49,7 @@ def near(
             continue
         bound = distance + radius[f]
         x, y, z = centre[f, 0], centre[f, 1], centre[f, 2]
-        # a little further, and the exact question again
+        # slightly further, as the exact test follows
         begin = np.searchsorted(along, centre[f, axis] - bound * (1.0 + 1e-12))
         for at in range(begin, len(along)):
             if along[at] - centre[f, axis] > bound:

@@ -1,8 +1,8 @@
-"""The loop over points and faces of `jaxgrow.mesh.winding`.
+"""Winding numbers of points: the loop of `jaxgrow.mesh.winding`.
 
 libigl takes 1.5 to 6 times as long for 100 to 1 000 points (half as long for 2 000 and
-81 920 faces), and of 802 points on a surface tells 324 to be inside or outside, where
-this loop tells none (experiments/libraries.py).
+81 920 faces), and of 802 points on a surface it reports 324 as inside or outside, where
+this loop reports none (experiments/libraries.py).
 """
 
 import math
@@ -28,9 +28,11 @@ def _small_angles(
     size: np.ndarray,
     on_surface: float,
 ) -> float:
-    """Sum of half the solid angles that are small; of all what the others need.
+    """Add up the halves of the small solid angles of all faces.
 
-    It has no branch, so that several faces are computed at once.
+    For the other faces it writes `top`, `bottom` and `size`: the half angle is the
+    arctangent of top over bottom, and size is the product of the three lengths. The
+    loop has no branches, so that it is vectorised over faces.
     """
     px, py, pz = point[0], point[1], point[2]
     total = 0.0
@@ -56,7 +58,7 @@ def _small_angles(
         top[f], bottom[f], size[f] = n, d, s
         small = (abs(n) <= _SMALL * d) & (d > on_surface * s)
         t = (n if small else 0.0) / (d if small else 1.0)
-        # arcus tangent, to the last digit
+        # arctangent, to the last digit
         u = t * t
         rest = 1 / 9 - u * (1 / 11 - u * (1 / 13 - u / 15))
         total += t * (1 - u * (1 / 3 - u * (1 / 5 - u * (1 / 7 - u * rest))))
@@ -66,13 +68,13 @@ def _small_angles(
 @njit(cache=True, error_model="numpy")
 @no_type_check
 def numbers(points: np.ndarray, corners: np.ndarray, on_surface: float) -> np.ndarray:
-    """Winding numbers.
+    """Compute winding numbers.
 
     Args:
-        points: where to ask.
-        corners: of the faces: nine coordinates, a row each.
-        on_surface: triple product over the lengths' product below which a point is in
-            a face, whose angle is left out.
+        points: positions.
+        corners: of the faces: nine coordinates, one row for each.
+        on_surface: ratio of the triple product to the product of the lengths below
+            which a point is in a face, whose angle is omitted.
     """
     result = np.zeros(len(points))
     count = corners.shape[1]

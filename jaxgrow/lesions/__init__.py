@@ -1,1 +1,1 @@
-"""Kinds of lesion, one a file: what is asked for, who divides, how size is measured."""
+"""Kinds of lesion, one per file: request, division rule and size."""

@@ -1,4 +1,4 @@
-"""The record of a division, and what all division rules share (paper §4)."""
+"""Record of a division, and functions common to all rules (paper §4)."""
 
 from typing import NamedTuple
 
@@ -10,19 +10,20 @@ from jaxgrow.transfer.device import get, with_capacity
 
 
 SPARE = 128
-"""Slots for new particles to begin with."""
+"""Initial number of free slots for new particles."""
 
 
 class Division(NamedTuple):
-    """The discrete choices of one division, enough to replay it.
+    """Discrete choices of one division, sufficient for a replay.
 
     Attributes:
         slot: of the new particle.
-        parent: of a myoma; -1 for a polyp, whose parent is the source vertex.
+        parent: slot of the dividing particle of a myoma; -1 for a polyp, whose parent
+            is the source vertex.
         depth: of a polyp's new particle under the source, in daughter offsets: 1, and
-            2, 3, … for those that are born together with it.
-        offset: of a myoma's new particle from where its parent was, in r0; of a
-            polyp's from the source vertex, where the rule would leave the tissue.
+            2, 3, … for further ones of the same step.
+        offset: of a myoma's new particle from the former position of its parent, in r0;
+            of a polyp's from the source vertex, if the rule would leave the tissue.
     """
 
     slot: int
@@ -47,7 +48,7 @@ def point_on_sphere(rng: np.random.Generator) -> Float[np.ndarray, "3"]:
 def add_particle(
     particles: Particles, slot: Int[Array, ""], position: Float[Array, "3"]
 ) -> Particles:
-    """Return the particles with a new one of the tumour in a free slot.
+    """Add a tumour particle in a free slot.
 
     Args:
         particles: with room, see `with_room`.
@@ -63,7 +64,10 @@ def add_particle(
 
 
 def with_room(particles: Particles) -> Particles:
-    """Return particles with a free slot; full ones get half as many spare ones."""
+    """Enlarge the capacity of particles without a free slot.
+
+    They get as many more slots as there are tumour particles, `SPARE` at least.
+    """
     capacity = particles.position.shape[0]
     if int(get(particles.alive).sum()) < capacity:
         return particles
@@ -72,5 +76,5 @@ def with_room(particles: Particles) -> Particles:
 
 
 def first_free_slot(state: State) -> int:
-    """Return the slot of the next new particle."""
+    """Return the first free slot of the particles."""
     return int(get(state.particles.alive).sum())

@@ -1,6 +1,6 @@
-"""What every kind of lesion is: a request, and the rule by which it grows.
+"""Base class of all kinds of lesion: a request, and a rule of growth.
 
-A kind is one class: its fields are what a user asks for, its methods are its rule.
+A kind is one class: its fields are the user's request, its methods are its rule.
 Everything else in the package works with any kind.
 """
 
@@ -26,23 +26,23 @@ Place: TypeAlias = str | Annotated[tuple[float, float, float], pydantic.Strict(F
 
 
 class Lesion(Model):
-    """A lesion to grow: its size, its place, its resolution, and its rule.
+    """Lesion to grow: its size, site and resolution, and its rule.
 
     A subclass has a field ``kind`` whose annotation is a literal of its name, and the
-    methods below; `jaxgrow.register_lesion` makes the kind known to scene files and to
+    methods below; `jaxgrow.register_lesion` registers the kind for scene files and for
     the command.
 
     Attributes:
         size_mm: largest diameter at which growth ends; 10 mm if no number of divisions
             is given either.
         divisions: number of divisions after which growth ends, instead of a size.
-        particle_mm: r0, the distance at which two particles rest; the resolution.
-            By default a fraction of the size (`particles_across`), or 1 mm.
+        particle_mm: r0, the equilibrium distance of two particles; the resolution. By
+            default a fraction of the size (`particles_across`), or 1 mm.
         site: a named site of the organ, or x, y, z in mm near its surface.
-        divisions_per_step: how many particles are born before the next equilibrium, 8
-            at most; fewer where there is no room for them. The paper has one. With four
-            a polyp of 80 divisions took 0.47 of the time; its mean shape differed by
-            less than five seeds can tell (7 % in height).
+        divisions_per_step: number of divisions before the next equilibrium, 8 at most;
+            fewer if there is no room for them. The paper has one. With four a polyp of
+            80 divisions took 0.37 of the time; the difference of its mean shape was
+            below what five seeds can resolve (6 % in height).
     """
 
     size_mm: Positive | None = None
@@ -53,17 +53,17 @@ class Lesion(Model):
     kind: str
 
     mechanics: ClassVar[dict[str, float]] = {}
-    """Parameters of this kind of lesion, where they are not the general defaults."""
+    """Parameters of this kind of lesion that differ from the general defaults."""
 
     particles_across: ClassVar[float] = 10.0
-    """Particle diameters in the largest diameter of the lesion, by default."""
+    """Default ratio of the lesion's largest diameter to r0."""
 
     needs_organ: ClassVar[bool] = True
-    """Whether it cannot grow freely in space."""
+    """Whether it needs an organ; if not, it can grow freely in space."""
 
     pushes_off: ClassVar[bool] = False
-    """Whether it pushes itself off from the bottom of its layer of tissue: then forces
-    on that are no reason to enlarge the patch."""
+    """Whether it presses against the bottom of its layer of tissue as it grows; forces
+    there do not enlarge the patch then."""
 
     @pydantic.model_validator(mode="after")
     def _one_end(self) -> "Lesion":
@@ -87,32 +87,36 @@ class Lesion(Model):
 
     @property
     def across(self) -> float:
-        """Largest diameter that is expected, in r0."""
+        """Expected largest diameter, in r0."""
         if self.target_mm is not None:
             return self.target_mm / self.r0_mm
         return 10.0 if self.divisions is None else 2 * self.divisions ** (1 / 3)
 
     @abstractmethod
     def extent(self) -> tuple[float, float]:
-        """Return radius of the patch and thickness of its tissue, in r0."""
+        """Return the patch's radius and its tissue's thickness, in r0."""
 
     @abstractmethod
     def seed(
         self, surface: Surface, tissue: Tissue, site: Site
     ) -> tuple[Surface, Int[np.ndarray, " n"]]:
-        """Return the surface, with its source if it has one, and all species.
+        """Place the seed of the lesion: a source vertex, or a tumour particle.
 
         Args:
             surface: of the patch, in r0.
             tissue: under it, in r0.
-            site: where the lesion is to grow.
+            site: of the lesion.
+
+        Returns:
+            The surface, with its source if it has one, and the species of all
+            particles.
         """
 
     def check_start(self, state: State, density: float) -> None:
-        """Refuse a start that cannot be measured, before anything has grown.
+        """Refuse an initial state in which the lesion could not be measured.
 
         Args:
-            state: relaxed.
+            state: relaxed, before the first division.
             density: of the tissue, per r0³.
 
         Raises:
@@ -120,7 +124,7 @@ class Lesion(Model):
         """
 
     def most_at_once(self, thickness: float, parameters: Parameters) -> int:
-        """Return the number of divisions that there is room for in one step.
+        """Return the largest number of divisions with enough room in one step.
 
         Args:
             thickness: of the free layer of tissue, in r0.
@@ -136,34 +140,34 @@ class Lesion(Model):
         rng: np.random.Generator,
         count: int,
     ) -> tuple[Division, ...] | None:
-        """Choose who divides, and where to.
+        """Choose the dividing particles and the places of their daughters.
 
         Args:
             state: an equilibrium.
             parameters: of the mechanics.
-            rng: draws.
-            count: number of divisions; fewer where a further one has no place.
+            rng: of the random choices.
+            count: number of divisions; fewer if there is no place for more.
 
         Returns:
-            The choices; None if every way leads out of the tissue.
+            The choices; None if every direction leads out of the tissue.
         """
 
     @abstractmethod
     def divide(self, state: State, division: Division, parameters: Parameters) -> State:
-        """Return the state after a division that has been chosen.
+        """Divide a particle, as chosen.
 
-        It is differentiable in state and parameters.
+        The result is differentiable in state and parameters.
 
         Args:
-            state: its particles have room for one more.
+            state: its particles have a free slot.
             division: from `choose`.
             parameters: of the mechanics.
         """
 
     @abstractmethod
     def size(self, state: State) -> Scalar:
-        """Return the largest diameter of the lesion, in r0.
+        """Measure the largest diameter of the lesion, in r0.
 
-        A number; where a derivative of the state is taken, a scalar with the same value
-        and the derivative.
+        The result is a number; under differentiation of the state, a scalar with the
+        same value and the derivative.
         """

@@ -1,4 +1,4 @@
-"""The myoma: a ball under the surface, any of whose particles may divide (paper §4)."""
+"""Myoma: a ball under the surface; any particle may divide (paper §4)."""
 
 from typing import ClassVar, Literal
 
@@ -26,13 +26,13 @@ from jaxgrow.transfer.device import get, get_surface
 
 
 HALF_DISTANCE = 0.5
-"""Distance, in r0, by which a dividing myoma particle and its daughter move apart."""
+"""Distance, in r0, by which each half of a dividing myoma particle moves."""
 
 
 class Myoma(Lesion):
-    """A dense ball under the surface: any of its particles may divide.
+    """Myoma: a dense ball under the surface; any particle may divide.
 
-    Its size is the largest diameter of its body of particles.
+    Its size is the largest diameter of the set of tumour particles.
 
     Attributes:
         depth_mm: of its first particle under the surface; a quarter of its size by
@@ -54,16 +54,16 @@ class Myoma(Lesion):
         return 2.0 if self.target_mm is None else 0.25 * self.target_mm / self.r0_mm
 
     def extent(self) -> tuple[float, float]:
-        """Return radius and thickness of a patch that holds its body, in r0.
+        """Return radius and thickness of a patch that holds the ball, in r0.
 
-        It pushes tissue aside: its radius and two particles more on every side.
+        As it displaces tissue, two particles are added to its radius on every side.
         """
         return self.across / 2 + 2.5, self.depth + self.across / 2 + 2.0
 
     def seed(
         self, surface: Surface, tissue: Tissue, site: Site
     ) -> tuple[Surface, Int[np.ndarray, " n"]]:
-        """Make the free particle nearest to its depth under the site the first one."""
+        """Mark the free particle nearest to the seed's depth as tumour."""
         species = np.full(len(tissue.points), int(Species.TISSUE))
         free = np.flatnonzero(~tissue.held)
         centre = -self.depth * site.normal
@@ -78,7 +78,7 @@ class Myoma(Lesion):
         rng: np.random.Generator,
         count: int,
     ) -> tuple[Division, ...] | None:
-        """Draw the particles that divide, and where to; none divides twice."""
+        """Draw the dividing particles and their directions; none divides twice."""
         particles, slot = state.particles, first_free_slot(state)
         of_tumour = get(particles.species) == Species.TUMOUR
         tumour = np.flatnonzero(get(particles.alive) & of_tumour)
@@ -96,14 +96,17 @@ class Myoma(Lesion):
         return tuple(divisions)
 
     def divide(self, state: State, division: Division, parameters: Parameters) -> State:
-        """Return the state with a particle and its daughter moved apart."""
+        """Divide a particle in two halves that move apart."""
         parent, slot = jnp.asarray(division.parent), jnp.asarray(division.slot)
         offset = jnp.asarray(division.offset)
         particles = divide_myoma(state.particles, parent, slot, offset)
         return State(particles, state.membrane, state.frame)
 
     def size(self, state: State) -> Scalar:
-        """Return the largest diameter of its particles, with their own, in r0."""
+        """Measure the largest diameter of the tumour, in r0.
+
+        The largest distance of two particles' centres, plus one particle diameter.
+        """
         particles = state.particles
         tumour = get(particles.alive) & (get(particles.species) == Species.TUMOUR)
         return diameter_of(particles.position, np.flatnonzero(tumour)) + 1.0
@@ -116,7 +119,10 @@ def divide_myoma(
     slot: Int[Array, ""],
     offset: Float[Array, "3"],
 ) -> Particles:
-    """Divide a tumour particle in two, at x + offset (the new one) and x - offset."""
+    """Divide a tumour particle at x in two, at x + offset and x - offset.
+
+    The new particle is at x + offset.
+    """
     centre = particles.position[parent]
     moved = particles.at(particles.position.at[parent].set(centre - offset))
     return add_particle(moved, slot, centre + offset)
@@ -128,11 +134,11 @@ def choose_myoma(
     clearance: Float[np.ndarray, " t"],
     rng: np.random.Generator,
 ) -> Division:
-    """Draw the particle that divides and the direction, both uniform.
+    """Draw the dividing particle and its direction, both uniformly.
 
-    The two move apart by r0/2 each. A particle near the membrane moves by 0.4 of its
-    distance to it at most: both halves stay on their side, which the paper's rule
-    alone does not ensure.
+    Each half moves by r0/2. A particle near the membrane moves by 0.4 of its distance
+    to it at most, so that both halves stay on their side, which the paper's rule alone
+    does not ensure.
 
     Args:
         tumour: slots of the tumour particles alive.

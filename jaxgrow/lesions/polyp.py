@@ -1,4 +1,4 @@
-"""The polyp: a vertex of the surface emits all particles (paper §4)."""
+"""Polyp: a vertex of the surface emits all particles (paper §4)."""
 
 from typing import ClassVar, Literal
 
@@ -23,13 +23,14 @@ from jaxgrow.transfer.device import get, get_number, get_surface
 
 
 DEEPEST = 0.5
-"""Share of the free layer of tissue under a polyp in which its particles are born."""
+"""Share of the free layer of tissue under a polyp in which new particles are placed."""
 
 
 class Polyp(Lesion):
-    """A local overgrowth of the surface: one of its vertices emits all particles.
+    """Polyp: a local overgrowth, all of its particles from one vertex.
 
-    Its size is the largest diameter of the surface raised above the former one.
+    The vertex of the surface is called its source. The size is the largest diameter of
+    the surface raised above the former one.
     """
 
     kind: Literal["polyp"] = "polyp"
@@ -37,13 +38,16 @@ class Polyp(Lesion):
     pushes_off: ClassVar[bool] = True
 
     def extent(self) -> tuple[float, float]:
-        """Return radius and thickness of a patch little wider than the base, in r0."""
+        """Return radius and thickness of a patch around the base, in r0.
+
+        The patch is only a little wider than the base.
+        """
         return max(6.5, 0.5 * self.across), 3.0
 
     def seed(
         self, surface: Surface, tissue: Tissue, site: Site
     ) -> tuple[Surface, Int[np.ndarray, " n"]]:
-        """Make the vertex nearest to the site the source."""
+        """Mark the vertex nearest to the site as the source."""
         inner = np.flatnonzero(~surface.fixed)
         source = inner[np.linalg.norm(surface.vertices[inner], axis=1).argmin()]
         seeded = Surface(surface.vertices, surface.faces, surface.fixed, int(source))
@@ -53,13 +57,13 @@ class Polyp(Lesion):
         """Refuse tissue that lifts the surface as a polyp would.
 
         Raises:
-            SceneError: a lesion's size would be that of the lift.
+            SceneError: the measured size would be that of the lift.
         """
         if self.target_mm is not None:
             check_lift(state, density)
 
     def most_at_once(self, thickness: float, parameters: Parameters) -> int:
-        """Return how many particles have room, one below the other."""
+        """Return the number of particles with enough room, one below the other."""
         deepest = DEEPEST * (thickness - HOLD)
         return max(1, int(deepest / get_number(parameters.daughter_offset)))
 
@@ -70,7 +74,7 @@ class Polyp(Lesion):
         rng: np.random.Generator,
         count: int,
     ) -> tuple[Division, ...] | None:
-        """Put particles under the source, one below the other; nothing is drawn."""
+        """Place particles under the source, one below the other, without drawing."""
         assert state.membrane is not None
         slot = first_free_slot(state)
         surface, divisions = get_surface(state.membrane), list[Division]()
@@ -84,7 +88,7 @@ class Polyp(Lesion):
         return tuple(divisions) or None
 
     def divide(self, state: State, division: Division, parameters: Parameters) -> State:
-        """Return the state with a particle more under the source."""
+        """Add a particle under the source."""
         membrane, slot = state.membrane, jnp.asarray(division.slot)
         assert membrane is not None
         if any(division.offset):
@@ -97,21 +101,21 @@ class Polyp(Lesion):
         return State(particles, membrane, state.frame)
 
     def size(self, state: State) -> Scalar:
-        """Return the largest diameter of the raised surface, in r0."""
+        """Measure the largest diameter of the raised surface, in r0."""
         assert state.membrane is not None
         alive = np.flatnonzero(get(state.membrane.vertex_alive))
         return diameter_of(state.membrane.vertices, alive[raised(state)])
 
 
 def check_lift(state: State, density: float) -> None:
-    """Refuse tissue that lifts the surface as a polyp would, before anything has grown.
+    """Refuse tissue that lifts the surface as a polyp would.
 
     Args:
-        state: relaxed.
+        state: relaxed, before the first division.
         density: of the tissue, per r0³, for the message.
 
     Raises:
-        SceneError: a lesion's size would be that of the lift.
+        SceneError: the measured size would be that of the lift.
     """
     membrane, former = state.membrane, state.frame.former
     assert membrane is not None
@@ -128,9 +132,10 @@ def check_lift(state: State, density: float) -> None:
 
 
 def source_normal(membrane: Membrane) -> Float[Array, "3"]:
-    """Return the unit normal of the membrane at its source, into the lumen.
+    """Compute the unit normal of the membrane at its source, into the lumen.
 
-    The mean over the triangles around the source, weighted by their areas.
+    It is the mean of the normals of the triangles around the source, weighted by their
+    areas.
     """
     corners = membrane.vertices[membrane.faces]
     edges = corners[:, 1:] - corners[:, :1]
@@ -145,7 +150,11 @@ def source_normal(membrane: Membrane) -> Float[Array, "3"]:
 def daughter_of_source(
     membrane: Membrane, depth: Scalar, parameters: Parameters
 ) -> Float[Array, "3"]:
-    """Return where the rule puts a new particle, in r0; see `Division.depth`."""
+    """Compute the position of a new particle by the rule, in r0.
+
+    x = x_source - k δ n, with the depth k (see `Division.depth`), the daughter offset δ
+    and the surface normal n.
+    """
     start = membrane.vertices[membrane.source]
     return start - depth * parameters.daughter_offset * source_normal(membrane)
 
@@ -161,11 +170,11 @@ def divide_polyp(
     depth: Float[Array, ""],
     parameters: Parameters,
 ) -> Particles:
-    """Emit a tumour particle from the source vertex: x = x_source - δ n.
+    """Add a tumour particle under the source vertex: x = x_source - δ n.
 
-    It is put a little inside the tissue, "to ensure that it will never fall outside
-    the endometrium"; relaxation pushes it further in. Of several at once the second is
-    at 2δ, the third at 3δ. See `choose_polyp`.
+    It is placed slightly inside the tissue, "to ensure that it will never fall outside
+    the endometrium"; relaxation pushes it further in. Of several in one step the second
+    is at 2δ, the third at 3δ. See `choose_polyp`.
     """
     return add_particle(
         particles, slot, daughter_of_source(membrane, depth, parameters)
@@ -179,26 +188,27 @@ def divide_polyp_to(
     slot: Int[Array, ""],
     offset: Float[Array, "3"],
 ) -> Particles:
-    """Emit a tumour particle elsewhere: x = x_source + offset."""
+    """Add a tumour particle at a given offset: x = x_source + offset."""
     return add_particle(particles, slot, membrane.vertices[membrane.source] + offset)
 
 
 def choose_polyp(
     surface: Surface, slot: int, place: Float[np.ndarray, "3"], depth: int = 1
 ) -> Division | None:
-    """Choose the division of a source: the daughter must be inside the tissue.
+    """Choose the division of a source, with the daughter inside the tissue.
 
-    Under a needle of a surface the rule's normal may lead out of it. Then the daughter
-    goes where it is deepest at the same distance, or at a half or a quarter of it.
+    Under a needle-like surface the rule's normal may lead out of the tissue. Then the
+    daughter is placed at the deepest point at the same distance, or at a half or a
+    quarter of it.
 
     Args:
         surface: with the source.
         slot: of the new particle.
-        place: by the rule, x_source - δ n.
-        depth: how many times δ it is there.
+        place: by the rule, x_source - k δ n.
+        depth: k, a multiple of δ.
 
     Returns:
-        The choice; None if every way leads out.
+        The choice; None if every direction leads out.
     """
     start = surface.vertices[surface.source]
     delta = float(np.linalg.norm(place - start))
@@ -222,4 +232,4 @@ def choose_polyp(
 
 
 _WAYS = 256
-"""Directions that are tried, spread evenly over the sphere (a Fibonacci lattice)."""
+"""Number of directions tried, spread evenly over the sphere (a Fibonacci lattice)."""

@@ -1,4 +1,4 @@
-"""Which part of the surface is the lesion, and how large it is: found on the host."""
+"""Extent of the lesion on the surface, and its diameter, on the host."""
 
 from contextlib import suppress
 
@@ -21,13 +21,13 @@ from jaxgrow.transfer.device import get, get_particles, get_surface, put
 
 
 RAISED = 0.5
-"""Surface higher than this (r0) above the former one belongs to the lesion."""
+"""Height (r0) over the former surface above which a vertex belongs to the lesion."""
 
 COVERING = 1.0
-"""Surface closer than this (r0) to a tumour particle belongs to the lesion."""
+"""Distance (r0) to a tumour particle below which a vertex belongs to the lesion."""
 
 BELONGING = 2.5
-"""Raised surface that comes this close (r0) to the tumour was raised by it: tissue may
+"""Distance (r0) to the tumour below which a raised surface was raised by it: tissue may
 lie between a myoma and the surface."""
 
 
@@ -36,7 +36,7 @@ def height_above(
     vertices: Float[np.ndarray, "m 3"],
     faces: Int[np.ndarray, "f 3"],
 ) -> Float[np.ndarray, " n"]:
-    """Distance to a surface, positive on the side that its normals point to."""
+    """Compute the signed distance to a surface, positive along its normals."""
     distance, face, closest = nearest_on_mesh(points, vertices, faces)
     normal = area_vectors(vertices[faces[face]])
     above = np.einsum("ni,ni->n", points - closest, normal) > 0
@@ -44,10 +44,11 @@ def height_above(
 
 
 def raised(state: State) -> Bool[np.ndarray, " m"]:
-    """Living membrane vertices that the tumour raised half an r0 over the former ones.
+    """Mark membrane vertices that the tumour raised by more than `RAISED`.
 
-    Surface of that height counts where it is connected with a vertex near the tumour:
-    tissue elsewhere may push its surface up as well.
+    The height is that over the former surface, of vertices alive. A raised part of the
+    surface counts if it is connected with a vertex near the tumour: tissue elsewhere
+    may raise its surface as well.
     """
     assert state.membrane is not None
     assert state.frame.former is not None
@@ -68,7 +69,10 @@ def raised(state: State) -> Bool[np.ndarray, " m"]:
 def _to_tumour(
     state: State, points: Float[np.ndarray, "m 3"]
 ) -> Float[np.ndarray, "m"]:
-    """Distance of each point to the nearest tumour particle; infinite without any."""
+    """Compute each point's distance to the nearest tumour particle.
+
+    It is infinite without any.
+    """
     position, species = get_particles(state.particles)
     tumour = position[species == Species.TUMOUR]
     if len(tumour) == 0:
@@ -78,19 +82,22 @@ def _to_tumour(
 
 
 def lesion_vertices(state: State) -> Bool[np.ndarray, " m"]:
-    """Living membrane vertices of the lesion: raised by it, or close to its tumour."""
+    """Mark membrane vertices of the lesion: raised, or near the tumour.
+
+    There is one entry per vertex alive.
+    """
     assert state.membrane is not None
     points = get(state.membrane.vertices)[get(state.membrane.vertex_alive)]
     return raised(state) | (_to_tumour(state, points) < COVERING)
 
 
 def farthest(points: Float[np.ndarray, "n 3"]) -> tuple[int, int]:
-    """The two points that are farthest from each other; 0 and 0 for fewer than two."""
+    """Find the two points that are farthest apart; 0, 0 for fewer than two."""
     if len(points) < 2:
         return 0, 0
     some = np.arange(len(points))
     if len(points) > 50:
-        with suppress(QhullError):  # points in a plane have no hull of volume
+        with suppress(QhullError):  # coplanar points have no hull in three dimensions
             some = ConvexHull(points).vertices
     first, second = np.triu_indices(len(some), 1)
     most = int(pdist(points[some]).argmax())
@@ -98,7 +105,7 @@ def farthest(points: Float[np.ndarray, "n 3"]) -> tuple[int, int]:
 
 
 def diameter(points: Float[np.ndarray, "n 3"]) -> float:
-    """Largest distance of two points; 0 for fewer than two."""
+    """Compute the largest distance of two points; 0 for fewer than two."""
     if len(points) < 2:
         return 0.0
     return float(pdist(points[list(farthest(points))])[0])
@@ -107,10 +114,10 @@ def diameter(points: Float[np.ndarray, "n 3"]) -> float:
 def diameter_of(
     positions: Float[Array, "n 3"], chosen: Int[np.ndarray, " k"]
 ) -> Scalar:
-    """Return the largest distance among some rows, in r0.
+    """Compute the largest distance among some rows, in r0.
 
-    It is a number; where a derivative of the positions is taken, a scalar with the
-    same value and the derivative of the distance between the two farthest rows.
+    It is a number; under differentiation of the positions, a scalar with the same value
+    and the derivative of the distance between the two farthest rows.
 
     Args:
         positions: in r0.

@@ -1,4 +1,4 @@
-"""Entries of TOML files: read, validated, and their mistakes told in words."""
+"""Entries of TOML files: parsing, validation and error messages."""
 
 import difflib
 import tomllib
@@ -15,7 +15,7 @@ _Model = TypeVar("_Model", bound=pydantic.BaseModel)
 
 
 class Model(pydantic.BaseModel):
-    """A table of a file: frozen, strict, and without entries that are not known."""
+    """Table of a file: frozen, strict, and without unknown entries."""
 
     model_config = pydantic.ConfigDict(
         frozen=True, strict=True, extra="forbid", arbitrary_types_allowed=True
@@ -23,19 +23,19 @@ class Model(pydantic.BaseModel):
 
 
 class SceneError(ValueError):
-    """A scene that cannot be grown; its message is the sentence for the user."""
+    """Error in a scene; its message is the sentence for the user."""
 
 
 def read_toml(path: Path, kind: str, error: type[ValueError]) -> dict[str, Any]:
-    """The entries of a file as they stand there, unchecked.
+    """Read the entries of a TOML file, without validation.
 
     Args:
         path: of the file.
-        kind: what it is, for the message.
+        kind: of the file, for the message.
         error: the class to raise.
 
     Raises:
-        ValueError: an `error`; the file cannot be read, or is no TOML.
+        ValueError: an `error`; the file cannot be read, or is not valid TOML.
     """
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
@@ -50,10 +50,10 @@ def validated(
     source: str,
     error: type[ValueError],
 ) -> _Model:
-    """A model from nested entries.
+    """Validate nested entries, and make a model of them.
 
     Args:
-        model: whose fields the entries are.
+        model: class with the entries as fields.
         entries: as TOML has them.
         source: where they come from, for the message.
         error: the class to raise.
@@ -69,10 +69,10 @@ def validated(
 
 
 def check_names(given: Iterable[str], known: Iterable[str]) -> None:
-    """Refuse a name that is not known.
+    """Refuse an unknown name.
 
     Raises:
-        ValueError: with the one that may have been meant.
+        ValueError: with the closest known name.
     """
     known = list(known)
     for name in given:
@@ -81,7 +81,7 @@ def check_names(given: Iterable[str], known: Iterable[str]) -> None:
 
 
 def _reason(cause: OSError | ValueError) -> str:
-    """Why a file is of no use, in words."""
+    """Describe why a file cannot be used."""
     if isinstance(cause, OSError):
         return f"cannot be read: {cause.strerror or type(cause).__name__}"
     if isinstance(cause, UnicodeDecodeError):
@@ -90,7 +90,7 @@ def _reason(cause: OSError | ValueError) -> str:
 
 
 def _explain(problem: Any, model: type[pydantic.BaseModel]) -> str:
-    """One mistake in words: where, what came, what is wanted."""
+    """Describe one validation error: its entry, what came, what is wanted."""
     location = [str(part) for part in problem["loc"]]
     where = ".".join(_keys(model, location))
     if problem["type"] == "missing":
@@ -111,7 +111,10 @@ def _explain(problem: Any, model: type[pydantic.BaseModel]) -> str:
 
 
 def _keys(model: type[pydantic.BaseModel], location: list[str]) -> list[str]:
-    """Where an entry stands in the file: pydantic adds the kind of its table."""
+    """Convert a location of pydantic into the keys of the file.
+
+    Pydantic inserts the kind of a table.
+    """
     if len(location) > 1 and model.model_fields[location[0]].discriminator:
         return [location[0], *location[2:]]
     return location
@@ -120,7 +123,7 @@ def _keys(model: type[pydantic.BaseModel], location: list[str]) -> list[str]:
 def _table(
     model: type[pydantic.BaseModel], location: list[str]
 ) -> type[pydantic.BaseModel]:
-    """The model of the table that an entry is in."""
+    """Find the model of the table that an entry is in."""
     if len(location) == 1:
         return model
     field = model.model_fields[location[0]]
@@ -131,14 +134,14 @@ def _table(
 
 
 def _models(annotation: Any) -> list[type[pydantic.BaseModel]]:
-    """All models that an annotation names."""
+    """List all models that an annotation names."""
     if isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel):
         return [annotation]
     return [model for part in get_args(annotation) for model in _models(part)]
 
 
 def _unknown(where: str, name: str, known: Iterable[str]) -> str:
-    """That an entry is unknown, with a near miss or all that is known."""
+    """Describe an unknown entry, with a near miss or all known names."""
     known = list(known)
     near = [other for other in known if other.startswith(name)]
     near += difflib.get_close_matches(name, known, n=1)

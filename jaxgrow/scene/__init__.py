@@ -1,1 +1,1 @@
-"""What a user asks for: lesion, surroundings, parameters; read and validated."""
+"""Scenes: lesion, surroundings and parameters, read and validated."""

@@ -1,7 +1,7 @@
-"""What to grow: organ, lesion and parameters; read, validated and explained.
+"""Scene of a growth: organ, lesion and parameters, read and validated.
 
-Lengths of a scene are in millimetres, except in `Surroundings` and `Parameters`, which
-speak in r0, the diameter of a particle.
+Lengths of a scene are in millimetres, except in `Surroundings` and `Parameters`, where
+they are in r0, the diameter of a particle.
 """
 
 import dataclasses
@@ -26,7 +26,7 @@ from jaxgrow.runtime.entries import (
 
 
 LESIONS: dict[str, type[Lesion]] = {"polyp": Polyp, "myoma": Myoma}
-"""Kinds of lesion that scene files and the command know, by name."""
+"""Registered kinds of lesion, by name; those of scene files and of the command."""
 
 if TYPE_CHECKING:
     AnyLesion: TypeAlias = Lesion
@@ -35,7 +35,7 @@ else:
 
 
 class Surroundings(Model):
-    """How much of the organ around the site is simulated, and how finely; in r0.
+    """Extent and resolution of the simulated part of the organ, in r0.
 
     Attributes:
         radius: of the patch of surface, along the surface; chosen from the lesion's
@@ -44,9 +44,9 @@ class Surroundings(Model):
         density: of tissue particles, per r0³.
         max_area: triangles larger than this (in r0²) are subdivided.
         min_area: triangles smaller than this (in r0²) are collapsed.
-        collisions: whether the surface repels itself and the other parts of the organ:
-            "auto" for as soon as they come near each other, "on" for always, which
-            gives the same equilibria, "off" for never.
+        collisions: whether the surface repels itself and the rest of the organ: "auto"
+            from the first time on that they are near each other, "on" always, with the
+            same equilibria, "off" never.
     """
 
     radius: Positive | None = None
@@ -58,16 +58,16 @@ class Surroundings(Model):
 
 
 class Scene(Model):
-    """All that decides a growth, but its seed and tolerance.
+    """Full specification of a growth, except its seed and tolerance.
 
     Attributes:
         organ: "uterus" for the built-in one, the path of a mesh file, an `Organ`, or
             None for a lesion that grows freely in space.
         unit_mm: length of one unit of the organ's file, in mm.
-        tissue: on which side of the organ's surface its tissue lies: "outside" of a
+        tissue: side of the organ's surface on which its tissue lies: "outside" of a
             hollow organ's inner surface, "inside" of a solid one.
-        lesion: a `Polyp` or a `Myoma`.
-        parameters: of the mechanics; where none is given, those of the lesion's kind.
+        lesion: a `Polyp`, a `Myoma`, or one of another registered kind.
+        parameters: of the mechanics; the default of each is that of the lesion's kind.
         surroundings: of the lesion.
     """
 
@@ -117,7 +117,7 @@ class Scene(Model):
 
 
 def register_lesion(kind: type[Lesion]) -> type[Lesion]:
-    """Make a kind of lesion known to scenes, scene files and the command.
+    """Register a kind of lesion for scenes, scene files and the command.
 
     It may be used as a decorator of the class. A kind of the same name is replaced.
 
@@ -125,7 +125,7 @@ def register_lesion(kind: type[Lesion]) -> type[Lesion]:
         kind: with a field ``kind`` whose annotation is a literal of its name.
 
     Raises:
-        TypeError: it is no such class, or one of its methods is missing.
+        TypeError: the class has no such field, or one of its methods is missing.
     """
     field = getattr(kind, "model_fields", {}).get("kind")
     name = None if field is None else field.default
@@ -145,20 +145,22 @@ def register_lesion(kind: type[Lesion]) -> type[Lesion]:
 
 
 def load_scene(path: str | Path) -> Scene:
-    """The scene of a TOML file; a relative organ path is relative to that file.
+    """Load the scene of a TOML file.
+
+    A relative path of the organ is relative to that file.
 
     Raises:
-        SceneError: the file cannot be read, is no TOML, or has a wrong entry; the
-            message names each with what is wanted.
+        SceneError: the file cannot be read, is not valid TOML, or has a wrong entry;
+            the message names each with what is wanted.
     """
     return make_scene(read_entries(path), source=str(path))
 
 
 def read_entries(path: str | Path) -> dict[str, Any]:
-    """The entries of a scene file as they stand there, unchecked.
+    """Read the entries of a scene file, without validation.
 
     Raises:
-        SceneError: the file cannot be read, or is no TOML.
+        SceneError: the file cannot be read, or is not valid TOML.
     """
     path = Path(path)
     entries = read_toml(path, "scene", SceneError)
@@ -169,7 +171,7 @@ def read_entries(path: str | Path) -> dict[str, Any]:
 
 
 def make_scene(entries: dict[str, Any], *, source: str) -> Scene:
-    """A scene from nested entries as TOML has them.
+    """Make a scene from nested entries as TOML has them.
 
     Args:
         entries: keys as the fields of `Scene`.

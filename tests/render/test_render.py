@@ -16,7 +16,7 @@ from PIL import Image
 from jaxgrow.render import render_growth, render_surface
 from jaxgrow.render.annotate import round_length
 from jaxgrow.render.checks import check_mesh, check_particles
-from jaxgrow.render.scene import Balls, make_surface, DrawnSurface
+from jaxgrow.render.scene import Balls, DrawnSurface, make_surface
 from jaxgrow.render.shading import SPECIES
 from jaxgrow.render.subject import (
     make_subject,

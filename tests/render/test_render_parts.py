@@ -7,7 +7,7 @@ import trimesh
 from jaxgrow.render.camera import look
 from jaxgrow.render.cut import behind_plane, cut_faces_of_balls, cut_line, stroke
 from jaxgrow.render.occlusion import occlusion
-from jaxgrow.render.scene import Balls, make_surface, DrawnSurface
+from jaxgrow.render.scene import Balls, DrawnSurface, make_surface
 from jaxgrow.render.view import see
 
 
