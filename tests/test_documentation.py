@@ -247,6 +247,8 @@ def spaced(number: int) -> str:
 ROWS = "rows/{}/ratios/median"
 MORE = "full/expert/targets/{}/{}"
 
+OF_GRADIENTS = ("derivatives", "gradient_exactness")
+
 QUOTED = [
     ("README", "install", "install_megabytes", str, "installs in a minute and {} MB"),
     ("first_steps", "install", "first_growth_seconds", str, "growth took {} s"),
@@ -266,69 +268,32 @@ QUOTED = [
     ("model", "creases", "0/mean/width_mm", digits(1), "instead of {} mm, and its"),
     ("model", "creases", "2/mean/neck_width_mm", digits(1), "its neck {} mm instead"),
     ("model", "creases", "0/mean/neck_width_mm", digits(1), "instead of {} mm: it is"),
+    (*OF_GRADIENTS, "20/largest_error", rounded_up, "to {} after 20"),
+    (*OF_GRADIENTS, "50/largest_error", rounded_up, "{} after 50"),
+    (*OF_GRADIENTS, "200/largest_error", rounded_up, "{} after 200"),
+    (*OF_GRADIENTS, "20/gradient_over_growth", digits(1), "{} times the growth"),
+    (*OF_GRADIENTS, "50/gradient_over_growth", digits(1), "20 divisions, {} times"),
+    (*OF_GRADIENTS, "200/gradient_over_growth", digits(1), "50 and {} times after"),
     (
-        "derivatives",
-        "gradient_exactness",
-        "10/largest_error",
-        rounded_up,
-        "to {} after",
-    ),
-    (
-        "derivatives",
-        "gradient_exactness",
-        "50/largest_error",
-        rounded_up,
-        "{} after 50",
-    ),
-    (
-        "derivatives",
-        "gradient_exactness",
-        "200/largest_error",
-        rounded_up,
-        "{} after 200",
-    ),
-    (
-        "derivatives",
-        "gradient_exactness",
-        "10/gradient_over_growth",
-        digits(1),
-        "{} times the growth after 10",
-    ),
-    (
-        "derivatives",
-        "gradient_exactness",
-        "50/gradient_over_growth",
-        digits(1),
-        "and {} times after 50",
-    ),
-    (
-        "derivatives",
-        "gradient_exactness",
-        "50/mb_per_division",
-        digits(1),
-        "It keeps {} to",
-    ),
-    (
-        "derivatives",
-        "gradient_exactness",
-        "10/mb_per_division",
-        digits(1),
-        "to {} MB a division",
-    ),
-    (
-        "derivatives",
-        "gradient_exactness",
-        "10/seconds/first gradient of this process",
+        *OF_GRADIENTS,
+        "20/seconds/first gradient of this process",
         digits(0),
-        "of a process took {} s",
+        "took {} s",
     ),
     (
-        "derivatives",
-        "gradient_exactness",
+        *OF_GRADIENTS,
         "50/seconds/first gradient of this process",
         digits(0),
-        "after it {} s",
+        "then {} s",
     ),
+    (
+        *OF_GRADIENTS,
+        "200/seconds/first gradient of this process",
+        digits(0),
+        "and {} s",
+    ),
+    (*OF_GRADIENTS, "20/mb_per_division", digits(1), "It keeps {} to"),
+    (*OF_GRADIENTS, "200/mb_per_division", digits(1), "to {} MB a division"),
     ("calibration", "calibration", "full/simplex/loss", digits(0), "a loss of {}, CMA"),
     ("calibration", "calibration", "full/expert/growths", str, "{} growths with part"),
     (

@@ -45,8 +45,9 @@ class Surroundings(Model):
         max_area: triangles larger than this (in r0²) are subdivided.
         min_area: triangles smaller than this (in r0²) are collapsed.
         collisions: whether the surface repels itself and the rest of the organ: "auto"
-            from the first time on that they are near each other, "on" always, with the
-            same equilibria, "off" never.
+            from the first time on that they are near each other, "on" always, "off"
+            never. Lesions of one seed differ between "auto" and "on" as between two
+            seeds: their packings do.
     """
 
     radius: Positive | None = None
