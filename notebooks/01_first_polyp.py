@@ -139,11 +139,11 @@ print("clean" if audit.clean else audit.defects)
 # iterations that each relaxation took.
 
 # %%
-divisions = [record["division"] for record in growth.history]
+divisions = [record.division for record in growth.history]
 figure, (left, right) = plt.subplots(1, 2, figsize=(8, 3), layout="constrained")
-left.plot(divisions, [record["size_mm"] for record in growth.history])
+left.plot(divisions, [record.size_mm for record in growth.history])
 left.set(xlabel="division", ylabel="size [mm]")
-right.plot(divisions, [record["steps"] for record in growth.history])
+right.plot(divisions, [record.steps for record in growth.history])
 right.set(xlabel="division", ylabel="steps of the relaxation", ylim=(0, None))
 plt.show()
 

@@ -10,6 +10,7 @@ import sys
 import tomllib
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from typing import Any
 
 import jax
 import pytest
@@ -44,7 +45,7 @@ def words(path: Path) -> str:
     return " ".join(path.read_text().split())
 
 
-def value(file: str, place: str) -> float:
+def value(file: str, place: str) -> Any:
     """A number of a file of results; `place` is its path of keys and row numbers."""
     found = json.loads((RESULTS / f"{file}.json").read_text())
     for key in place.split("/"):

@@ -109,7 +109,7 @@ def test_they_end_with_the_one_that_started_them(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
         "import os, signal\n"
-        "from jaxgrow import processes\n"
+        "from jaxgrow.ensemble import worker_pool as processes\n"
         "if __name__ == '__main__':\n"
         "    kept = processes.borrow(1)\n"
         "    print(kept.pool.submit(os.getpid).result(), flush=True)\n"
