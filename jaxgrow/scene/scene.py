@@ -5,6 +5,7 @@ they are in r0, the diameter of a particle.
 """
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, get_args, Literal, TYPE_CHECKING, TypeAlias, Union
 
@@ -90,6 +91,12 @@ class Scene(Model):
         own = LESIONS.get(str(kind), Polyp)
         own = type(lesion) if isinstance(lesion, Lesion) else own
         return {**entries, "parameters": {**own.mechanics, **given}}
+
+    @pydantic.field_validator("lesion", mode="wrap")
+    @classmethod
+    def _lesion(cls, value: object, read: Callable[[object], object]) -> object:
+        # a kind need not be registered to be used in Python
+        return value if isinstance(value, Lesion) else read(value)
 
     @pydantic.field_validator("parameters", mode="before")
     @classmethod

@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 
 from jaxgrow.cli.progress import clock, describe, ProgressDisplay
-from jaxgrow.growth.result import Progress
+from jaxgrow.growth.progress import Progress
 
 
 def _by_size(size, seconds, divisions=0):

@@ -31,6 +31,12 @@ class Oldest(jg.Myoma):
         return (drawn._replace(parent=first),)
 
 
+def test_kind_needs_no_registration_in_python():
+    scene = jg.Scene(organ=None, lesion=Oldest(divisions=3))
+    assert isinstance(scene.lesion, Oldest)
+    assert scene.parameters.tumour_stiffness == 3.0
+
+
 def test_kind_of_a_script_grows_replays_and_is_read_from_files(kinds, tmp_path):
     jg.register_lesion(Oldest)
     scene = jg.Scene(organ=None, lesion=Oldest(divisions=6))
