@@ -26,7 +26,7 @@ class Oldest(jg.Myoma):
     kind: Literal["oldest"] = "oldest"
 
     def choose(self, state, parameters, rng, count):
-        (drawn,) = super().choose(state, parameters, rng, 1)
+        drawn = super().choose(state, parameters, rng, 1)[0]
         first = int(np.flatnonzero(np.asarray(state.particles.species) == 1)[0])
         return (drawn._replace(parent=first),)
 
