@@ -45,7 +45,8 @@ from jaxgrow.energy.contact import (
 )
 from jaxgrow.energy.distance import point_triangle_distance
 from jaxgrow.energy.pair import pair_force
-from jaxgrow.energy.springs import spring_energy
+from jaxgrow.energy.springs import Springs
+from jaxgrow.energy.term import energy_of_elements
 from jaxgrow.transfer.device import put_particles
 
 
@@ -129,11 +130,8 @@ def bumpy_sheet(side: int, rng: np.random.Generator) -> jg.Membrane:
     c, d = index[1:, 1:].ravel(), index[1:, :-1].ravel()
     faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
     membrane = jg.make_membrane(vertices, faces, pinned=False)
-    return eqx.tree_at(
-        lambda m: m.rest_length,
-        membrane,
-        membrane.rest_length * rng.uniform(0.7, 1.3, membrane.rest_length.shape),
-    )
+    length = membrane.rest_length
+    return membrane.with_rest_length(length * rng.uniform(0.7, 1.3, length.shape))
 
 
 def nearest_only(contacts: Contacts, distance: Float[np.ndarray, " p"]) -> Contacts:
@@ -148,6 +146,13 @@ def nearest_only(contacts: Contacts, distance: Float[np.ndarray, " p"]) -> Conta
     chosen[order[first]] = True
     real = contacts.real & jnp.asarray(chosen)
     return eqx.tree_at(lambda c: c.real, contacts, real)
+
+
+def spring_energy(membrane: jg.Membrane, law: jg.Parameters) -> jax.Array:
+    """The energy of a membrane's springs, in F(0) r0."""
+    elements = Springs().elements(None, membrane)
+    assert elements is not None
+    return energy_of_elements(Springs(), membrane.vertices, elements, law)
 
 
 def check_contact() -> Iterator[tuple[str, float, float]]:
@@ -194,7 +199,9 @@ def check_contact() -> Iterator[tuple[str, float, float]]:
             error = by_rows(np.concatenate(found), wanted)
             yield f"contact, {name}, {kind}", error, BOUND
         wanted = -np.asarray(
-            eqx.filter_grad(lambda m, p=law: spring_energy(m, p))(membrane).vertices
+            jax.grad(lambda x, m=membrane, p=law: spring_energy(m.at(x), p))(
+                membrane.vertices
+            )
         )
         force = np.zeros_like(vertices)
         add_spring_forces(
