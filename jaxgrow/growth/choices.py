@@ -5,7 +5,6 @@ A growth, its replay, its derivative and its continuation are the same loop
 draws them from a generator and records them; `Recorded` repeats a record.
 """
 
-import copy
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
@@ -120,14 +119,14 @@ class Drawn:
     def __init__(self, rng: np.random.Generator) -> None:
         self.rng = rng
         self._start = InitialRecord(None, None)
-        self._steps: list[Event] = []
+        self._steps: tuple[Event, ...] = ()
         self.mark()
 
     @classmethod
     def after(cls, events: Events, rng: np.random.Generator) -> "Drawn":
         """Make choices that continue recorded ones, with their generator."""
         drawn = cls(rng)
-        drawn._start, drawn._steps = events.start, list(events.steps)
+        drawn._start, drawn._steps = events.start, events.steps
         return drawn
 
     def start(self, setup: Setup) -> InitialState:
@@ -179,9 +178,9 @@ class Drawn:
             return now, wider, 0
         after, record = wider
         if self._steps:
-            last = self._steps[-1]
+            *before, last = self._steps
             more = (*last.enlargements, record)
-            self._steps[-1] = last._replace(enlargements=more)
+            self._steps = (*before, last._replace(enlargements=more))
         else:
             more = (*self._start.enlargements, record)
             self._start = self._start._replace(enlargements=more)
@@ -210,20 +209,19 @@ class Drawn:
 
     def keep(self, event: Event) -> None:
         """Keep the choices of a step that succeeded."""
-        self._steps.append(event)
+        self._steps = (*self._steps, event)
 
     def mark(self) -> None:
         """Store the generator's state, and the choices kept so far."""
-        kept = self._start, list(self._steps)
-        self._mark = copy.deepcopy(self.rng.bit_generator.state), kept
+        self._mark = self.rng.bit_generator.state, self._start, self._steps
 
     def rewind(self) -> None:
         """Reset generator and choices to the mark, after an interrupted step."""
-        self.rng.bit_generator.state, (self._start, self._steps) = self._mark
+        self.rng.bit_generator.state, self._start, self._steps = self._mark
 
     def events(self, setup: Setup, result: Result) -> Events:
         """Return all choices."""
-        return Events.of(setup, self._start, tuple(self._steps), result)
+        return Events.of(setup, self._start, self._steps, result)
 
 
 class Recorded:
