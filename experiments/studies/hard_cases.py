@@ -1,8 +1,8 @@
 """The table of hard cases: each converges, or is refused by name.
 
-    python experiments/hard_cases.py --processes 2
+    python experiments/studies/hard_cases.py --processes 2
 
-runs every case of `experiments/hard` in a process of its own, which may not take
+runs every case of `tests/hard/cases` in a process of its own, which may not take
 longer than ``--seconds``, and writes ``experiments/results/hard_cases.json`` and the
 table ``hard_cases.md`` beside it. ``--only NAME ...`` runs some again and keeps the
 other rows of the table. The exit status is 0 if every outcome is the expected one.
@@ -20,7 +20,7 @@ from typing import Any
 
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA:CPU cache loader noise
 
-RESULTS = Path(__file__).parent / "results" / "hard_cases.json"
+RESULTS = Path(__file__).parents[1] / "results" / "hard_cases.json"
 
 MARK = "hard case: "
 """What the line with a row begins with, among whatever else a process prints."""
@@ -29,7 +29,7 @@ MARK = "hard case: "
 def run_here(name: str) -> dict[str, Any]:
     """One case in this process."""
     import jax
-    from hard import CASES, measure
+    from cases_of_tests import CASES, measure
 
     jax.config.update("jax_enable_x64", True)
     return measure(CASES[name]).as_dict()
@@ -61,7 +61,7 @@ def run_apart(name: str, seconds: float, threads: int) -> dict[str, Any]:
 
 def failure(name: str, outcome: str, why: str, seconds: float) -> dict[str, Any]:
     """The row of a case that did not come to an end."""
-    from hard import CASES, Found, Row
+    from cases_of_tests import CASES, Found, Row
 
     case = CASES[name]
     wrong = f"{outcome.lower()}: {why}"
@@ -122,7 +122,7 @@ def main() -> int:
         print(MARK + json.dumps(run_here(options.here)))
         return 0
 
-    from hard import CASES
+    from cases_of_tests import CASES
 
     names = options.only or [
         c.name for c in CASES.values() if not (options.fast and c.slow)

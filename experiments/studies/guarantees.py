@@ -1,9 +1,9 @@
 """The guarantees counted, pictured, and what they cost.
 
-    python experiments/guarantees.py steps       # every accepted step of growths
-    python experiments/guarantees.py operations  # every round of mesh operations
-    python experiments/guarantees.py cost        # with and without collisions
-    python experiments/guarantees.py pictures    # a full cavity, and through an os
+    python guarantees.py steps       # every accepted step of growths
+    python guarantees.py operations  # every round of mesh operations
+    python guarantees.py cost        # with and without collisions
+    python guarantees.py pictures    # a full cavity, and through an os
 
 Each writes its figures under ``experiments/results/``. The checks here share nothing
 with what they check: sides by solid angles of a closed surface, intersections by
@@ -24,8 +24,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from hard.examine import coned
-from hard.organs import hourglass
+from cases_of_tests import coned, hourglass
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
@@ -41,7 +40,7 @@ from jaxgrow.organ import locate_site
 from jaxgrow.transfer.device import get
 
 
-RESULTS = Path(__file__).parent / "results"
+RESULTS = Path(__file__).parents[1] / "results"
 
 Points = Float[np.ndarray, "n 3"]
 

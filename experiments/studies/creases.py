@@ -1,6 +1,6 @@
 """Creases of a polyp: how much of its surface is bent sharply, by bending stiffness.
 
-    python experiments/creases.py [--seeds 8] [--size 10] [--moduli K ...] [--rest flat]
+    python creases.py [--seeds 8] [--size 10] [--moduli K ...] [--rest flat]
 
 grows the default polyp with several bending moduli, with hinges at rest where they are
 flat and with hinges whose angle at rest is reset with the springs, and writes
@@ -26,7 +26,7 @@ from jaxgrow.mesh.topology import build_topology
 from jaxgrow.runtime.compile_cache import keep_programs
 
 
-RESULTS = Path(__file__).parent / "results"
+RESULTS = Path(__file__).parents[1] / "results"
 MODULI = (0.0, 0.002, 0.005, 0.01)
 METRICS = ("height_mm", "width_mm", "neck_width_mm", "volume_mm3", "sphericity")
 

@@ -1,6 +1,6 @@
 """Yardsticks of speed, and the check that they compute what jaxgrow computes.
 
-    python experiments/baselines.py --check
+    python experiments/benchmarks/baselines.py --check
 
 compares every yardstick with jaxgrow's own functions on random input, prints the
 relative errors, and ends with status 1 if one is above its bound. All are numba loops

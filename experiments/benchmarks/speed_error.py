@@ -1,18 +1,18 @@
 """Speed against error: every row is a ratio in one run on one machine, with its error.
 
-    python experiments/speed_error.py --quick             # under three minutes
-    python experiments/speed_error.py                     # all rows and curves, in full
-    python experiments/speed_error.py --only pair-force-10k memory
-    python experiments/speed_error.py --device cuda
-    python experiments/speed_error.py --curves tolerance skin
-    python experiments/speed_error.py --figures           # draw what was measured
+    python speed_error.py --quick             # under three minutes
+    python speed_error.py                     # all rows and curves, in full
+    python speed_error.py --only pair-force-10k memory
+    python speed_error.py --device cuda
+    python speed_error.py --curves tolerance skin
+    python speed_error.py --figures           # draw what was measured
 
 It needs the extra "speed": pip install -e '.[speed]'.
 
 Contenders are measured in turns (A B A B), five times at least (whole lesions, and in
 quick mode what takes long, three times), with one thread each; ratios are medians over
 the repetitions, with their quartiles. The yardsticks are those of
-`experiments/baselines.py`. Figures, hardware and versions go to
+`experiments/benchmarks/baselines.py`. Figures, hardware and versions go to
 ``experiments/results/speed_error.json``, the table of rows to ``speed_error.md`` beside
 it, and pictures to ``speed_error_*.png`` (`speed.figures`); for a GPU the names begin
 with ``speed_error_cuda``. Rows that are not measured again stay there if they are of
@@ -56,7 +56,7 @@ from speed.table import as_markdown
 PATIENCE = 15.0
 """Seconds for a contender in quick mode, see `Options`."""
 
-RESULTS = Path(__file__).parent / "results"
+RESULTS = Path(__file__).parents[1] / "results"
 
 ROWS: dict[str, Callable[[Options], Iterator[Row]]] = {
     "pair-force-10k": force_rows.pair_force_10k,

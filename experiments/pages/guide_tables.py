@@ -5,8 +5,9 @@ A table stands in a guide between two comments,
     <!-- table: jaxgrow.scene.scene.Polyp -->
     <!-- end of table -->
 
-and lists the attributes of the class that the first one names. ``python
-experiments/guide_tables.py`` writes all tables anew; a test holds them up to date.
+and lists the attributes of the class that the first one names.
+``python experiments/pages/guide_tables.py`` writes all tables; a test holds them up to
+date.
 """
 
 import dataclasses
@@ -24,7 +25,7 @@ from jaxgrow.lesions.myoma import Myoma
 from jaxgrow.lesions.polyp import Polyp
 
 
-GUIDES = Path(__file__).parents[1] / "jaxgrow" / "guides"
+GUIDES = Path(__file__).parents[2] / "jaxgrow" / "guides"
 
 TABLE = re.compile(r"(<!-- table: ([\w.]+) -->\n).*?(<!-- end of table -->)", re.S)
 

@@ -2,8 +2,9 @@
 
 The yardsticks (`pairs`, `contact`, `lbfgs`, `fire`) are what others would run: plain
 numba loops on one thread, and jax-md as it comes. The rows and curves measure jaxgrow
-against them; `experiments/baselines.py` checks the yardsticks,
-`experiments/speed_error.py` measures, and draws what it measured (`figures`, `table`).
+against them; `experiments/benchmarks/baselines.py` checks the yardsticks,
+`experiments/benchmarks/speed_error.py` measures, and draws what it measured
+(`figures`, `table`).
 """
 
 import os

@@ -1,6 +1,6 @@
 """Two organ surfaces that nobody here made, as PLY files.
 
-    python experiments/organs.py FOLDER
+    python experiments/studies/organs.py FOLDER
 
 writes ``frog-large-intestine.ply`` and ``human-brain-left.ply`` (binary, double
 precision) and prints what each is like. It needs pyvista, nilearn (with nibabel) and
@@ -138,5 +138,5 @@ def main(folder: Path) -> None:
 
 if __name__ == "__main__":
     if len(sys.argv) != 2:
-        sys.exit("usage: python experiments/organs.py FOLDER")
+        sys.exit("usage: python experiments/studies/organs.py FOLDER")
     main(Path(sys.argv[1]))

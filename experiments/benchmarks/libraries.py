@@ -1,7 +1,7 @@
 """Host loops against libigl and ipctk: seconds, and answers to hard questions.
 
     pip install libigl ipctk
-    python experiments/libraries.py
+    python experiments/benchmarks/libraries.py
 
 writes results/libraries.json. A library replaces a loop of `jaxgrow.kernels` where it
 is as fast within `ALLOWED` and as exact. Seconds are of the processor, on one thread;
@@ -29,7 +29,7 @@ from jaxgrow.mesh.proximity import closest_on_triangles, nearest_on_mesh, Proxim
 from jaxgrow.mesh.winding import winding_number
 
 
-OUT = Path(__file__).parent / "results" / "libraries.json"
+OUT = Path(__file__).parents[1] / "results" / "libraries.json"
 
 ALLOWED = 1.3
 """A library may be slower by this factor."""

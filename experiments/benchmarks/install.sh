@@ -5,7 +5,7 @@ set -euo pipefail
 here="$(cd "$(dirname "$0")" && pwd)"
 work="$(mktemp -d)"
 trap 'rm -rf "$work"' EXIT
-git clone -q "$here/.." "$work/clone"
+git clone -q "$here/../.." "$work/clone"
 cd "$work/clone"
 export HOME="$work/home"
 mkdir -p "$HOME"
@@ -21,7 +21,7 @@ again=$(date +%s)
 .venv/bin/jaxgrow audit polyp >/dev/null
 cmp polyp/organ.ply again/organ.ply
 
-cat >"$here/results/install.json" <<JSON
+cat >"$here/../results/install.json" <<JSON
 {
  "install_seconds": $((installed - start)),
  "install_megabytes": $(du -sm .venv | cut -f1),
@@ -31,5 +31,5 @@ cat >"$here/results/install.json" <<JSON
  "processors": $(nproc)
 }
 JSON
-cp polyp/growth.png "$here/results/polyp.png"
-cat "$here/results/install.json"
+cp polyp/growth.png "$here/../results/polyp.png"
+cat "$here/../results/install.json"

@@ -1,10 +1,10 @@
 """The runs of the README's table, by the command that a user types.
 
-    python experiments/growths.py --out runs --organs organs --processes 2
+    python experiments/studies/growths.py --out runs --organs organs --processes 2
 
 grows a polyp and a myoma at three sizes each in the built-in uterus, and a polyp on
-every organ that `experiments/organs.py` exported to the folder ``organs``. It writes
-every run's folder under ``--out``, the figures to
+every organ that `experiments/studies/organs.py` exported to the folder ``organs``. It
+writes every run's folder under ``--out``, the figures to
 ``experiments/results/growths.json``, and prints the table. With ``--only`` the figures
 of the other runs stay as they are.
 """
@@ -18,7 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 
-RESULTS = Path(__file__).parent / "results" / "growths.json"
+RESULTS = Path(__file__).parents[1] / "results" / "growths.json"
 
 UTERUS = {
     f"{kind}-{size}": ["--lesion", kind, "--size-mm", str(size), "--site", site]

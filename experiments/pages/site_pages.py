@@ -14,7 +14,7 @@ from griffe import Extension
 from mkdocs.structure.files import File
 
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 PAGES = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md"}
 PAGES |= {"CHANGELOG.md": "changelog.md"}
