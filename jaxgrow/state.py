@@ -75,6 +75,12 @@ class Membrane(eqx.Module):
             the edge in its direction, and of the other; -1 where there is none.
         rest: rest data of each term of the elasticity that the membrane has, by its
             name (see `jaxgrow.energy.term.MembraneTerm`).
+        reference: position, in r0, of each vertex before it was displaced; healthy
+            tissue keeps its rest data there.
+        hyperplasia: share of each vertex that is hyperplastic, 0 to 1. Hyperplastic
+            tissue gets new rest data after every division (see
+            `jaxgrow.energy.term.MembraneTerm.at_rest`); 1 everywhere is the paper's
+            rule.
         vertex_alive: False for padding; `face_alive` and `edge_alive` too.
         pinned: True for the vertices of the rim, which never move.
         source: the vertex that emits a polyp's particles; -1 if there is none.
@@ -85,6 +91,8 @@ class Membrane(eqx.Module):
     edges: Int[Array, "e 2"]
     opposite: Int[Array, "e 2"]
     rest: dict[str, Float[Array, "k _"]]
+    reference: Float[Array, "m 3"]
+    hyperplasia: Float[Array, " m"]
     vertex_alive: Bool[Array, " m"]
     face_alive: Bool[Array, " f"]
     edge_alive: Bool[Array, " e"]

@@ -17,7 +17,7 @@ particle beneath it and folds at the foot of a lesion. The paper has no such ter
 :math:`\kappa = 0` is its model. Lengths and areas are those of when the springs were
 last reset. The rest angle :math:`\theta^0` is 0: a flat surface has no energy. (With an
 angle that is reset too, a polyp is as creased as without bending:
-``experiments/creases.py``.)
+``experiments/studies/creases.py``.)
 
 The angle's derivative is the inverse of the triangles' heights, so a sliver's hinge
 would be stiffer than all others by orders of magnitude. Weights of hinges whose

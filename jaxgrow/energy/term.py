@@ -97,7 +97,7 @@ class MembraneTerm(Term):
 
     @abstractmethod
     def rest(self, x: tuple[Columns, ...]) -> Columns:
-        """Return the rest data of one element at its present position.
+        """Return the rest data of one element where it is; may be empty.
 
         Args:
             x: for each node its three coordinates, in r0.
@@ -123,10 +123,37 @@ class MembraneTerm(Term):
         return Elements(vertices.astype(int) + first, membrane.rest[self.name], alive)
 
     def at_rest(self, membrane: Membrane) -> Float[Array, "e q"]:
-        """Return the rest data of all elements as they are; 0 for padding."""
+        """Return new rest data of all elements, as they are now; 0 for padding."""
         vertices, alive = self.stencil(membrane)
-        x = _gathered(membrane.vertices, vertices, alive)
-        rest = jnp.stack(jax.vmap(self.rest)(x), axis=1)
+        rest = self._rest_at(membrane.vertices, vertices, alive)
+        return jnp.where(alive[:, None], rest, 0)
+
+    def _rest_at(
+        self,
+        positions: Float[Array, "m 3"],
+        vertices: Int[Array, "e k"],
+        alive: Bool[Array, " e"],
+    ) -> Float[Array, "e q"]:
+        columns = jax.vmap(self.rest)(_gathered(positions, vertices, alive))
+        none = jnp.zeros((len(alive), 0), positions.dtype)
+        return jnp.stack(columns, axis=1) if columns else none
+
+
+class HealthyTerm(MembraneTerm):
+    r"""Term of the healthy membrane's elasticity, which is never reset.
+
+    Its rest data are those of the reference positions, and one more: the healthy share
+    :math:`h = \prod_v (1 - m_v)` of the element, with the hyperplasia m of its
+    vertices. `energy` must be in proportion to it, so that what is hyperplastic has no
+    memory.
+    """
+
+    def at_rest(self, membrane: Membrane) -> Float[Array, "e q"]:
+        """Return the rest data of all elements; 0 for padding."""
+        vertices, alive = self.stencil(membrane)
+        rest = self._rest_at(membrane.reference, vertices, alive)
+        healthy = jnp.prod(1 - membrane.hyperplasia[vertices], axis=1)
+        rest = jnp.concatenate([rest, healthy[:, None]], axis=1)
         return jnp.where(alive[:, None], rest, 0)
 
 

@@ -8,15 +8,21 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxgrow.energy.area import Area
 from jaxgrow.energy.bending import Bending
 from jaxgrow.energy.collision import collision_energy, Collisions
 from jaxgrow.energy.contact import contact_energy, list_contacts, reach
+from jaxgrow.energy.finite_elements import FlowingSheet, Kirchhoff, NeoHookean
+from jaxgrow.energy.healthy import HealthySprings
 from jaxgrow.energy.pair import pair_energy
 from jaxgrow.energy.parameters import Parameters
 from jaxgrow.energy.springs import Springs
+from jaxgrow.energy.tension import Tension
 from jaxgrow.energy.term import energy_of_elements
 from jaxgrow.state import Membrane, Nodes, Particles
 from jaxgrow.transfer.constructors import make_membrane, make_particles
+
+from ..quick_jit import quick_jit
 
 
 PARAMETERS = Parameters(
@@ -27,6 +33,12 @@ PARAMETERS = Parameters(
     collision_range=1.5,
     mixed_adhesion=0.3,
     bending_stiffness=0.2,
+    area_modulus=0.4,
+    surface_tension=0.5,
+    membrane_modulus=0.8,
+    kirchhoff_modulus=0.7,
+    flowing_modulus=0.9,
+    healthy_stiffness=0.6,
 )
 CONTACTS = 512  # capacity of the lists of contacts
 SIDE = 5  # vertices along a side of the membrane
@@ -39,11 +51,11 @@ def dense_list(count):
     return jnp.asarray((index[None, :] + index[1:, None]) % count)
 
 
-def grid(side, spacing=1.0):
-    """Vertices, faces and edges of a flat square grid; normals up."""
-    y, x = np.mgrid[:side, :side]
-    vertices = spacing * np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3).astype(float)
-    index = np.arange(side * side).reshape(side, side)
+def grid(columns, rows=None):
+    """Vertices, faces and edges of a flat grid, square if not told; normals up."""
+    y, x = np.mgrid[: rows or columns, :columns]
+    vertices = np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3).astype(float)
+    index = np.arange(x.size).reshape(x.shape)
     a, b = index[:-1, :-1].ravel(), index[:-1, 1:].ravel()
     c, d = index[1:, 1:].ravel(), index[1:, :-1].ravel()
     faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
@@ -59,16 +71,47 @@ class Scene:
 
 @pytest.fixture(scope="session")
 def scene():
+    return random_scene()
+
+
+@pytest.fixture(scope="session")
+def small():
+    """A smaller scene, which padding can fill up to the other."""
+    return random_scene(rows=4, count=15, seed=3)
+
+
+def random_scene(rows=SIDE, count=COUNT, seed=1):
     """24 random particles below a bumpy grid of 25 vertices; nothing is padding."""
-    rng = np.random.default_rng(1)
-    vertices, faces, edges = grid(SIDE)
+    rng = np.random.default_rng(seed)
+    vertices, faces, edges = grid(SIDE, rows)
     vertices += 0.2 * rng.normal(size=vertices.shape)
-    position = rng.uniform([0, 0, -1.5], [SIDE - 1, SIDE - 1, -0.1], (COUNT, 3))
+    position = rng.uniform([0, 0, -1.5], [SIDE - 1, rows - 1, -0.1], (count, 3))
     length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-    particles = make_particles(position, species=rng.integers(0, 2, COUNT))
+    particles = make_particles(position, species=rng.integers(0, 2, count))
     rest_length = length * rng.uniform(0.7, 1.3, len(edges))
     membrane = make_membrane(vertices, faces, pinned=False, rest_length=rest_length)
-    return Scene(particles, membrane)
+    return Scene(particles, partly_healthy(membrane, rng))
+
+
+def partly_healthy(membrane, rng):
+    """The membrane with another reference, random marks, and areas not at rest."""
+    membrane = dataclasses.replace(
+        membrane,
+        reference=membrane.vertices + 0.1 * rng.normal(size=membrane.vertices.shape),
+        hyperplasia=jnp.asarray(rng.uniform(0, 0.4, len(membrane.vertices))),
+    )
+    area = Area().at_rest(membrane) * rng.uniform(0.7, 1.3, (len(membrane.faces), 1))
+    healthy = HealthySprings().at_rest(membrane)
+    known = {**membrane.rest, "area": area, "healthy": healthy}
+    return sheets_at_rest(membrane.with_rest(known))
+
+
+def sheets_at_rest(membrane):
+    """The membrane with sheets at rest in its reference."""
+    there = membrane.at(membrane.reference)
+    sheets = (NeoHookean(), Kirchhoff(), FlowingSheet())
+    rest = {term.name: term.at_rest(there) for term in sheets}
+    return membrane.with_rest({**membrane.rest, **rest})
 
 
 def _pair(particles, membrane, parameters):
@@ -126,6 +169,12 @@ TERMS = {
     "pair": _pair,
     "springs": _elements(Springs()),
     "bending": _elements(Bending()),
+    "area": _elements(Area()),
+    "tension": _elements(Tension()),
+    "neo_hookean": _elements(NeoHookean()),
+    "kirchhoff": _elements(Kirchhoff()),
+    "flowing": _elements(FlowingSheet()),
+    "healthy": _elements(HealthySprings()),
     "contact": _contact,
     "collision": _collision,
 }
@@ -135,7 +184,7 @@ TERMS = {
 def term(request):
     """Energy and its gradient in all nodes, as one compiled function of a scene."""
 
-    @eqx.filter_jit
+    @quick_jit
     def evaluate(scene_particles, scene_membrane):
         def energy(nodes):
             particles = eqx.tree_at(

@@ -19,8 +19,15 @@ from jaxgrow.energy.parameters import Parameters
 from jaxgrow.energy.vectors import split
 from jaxgrow.transfer.constructors import make_membrane
 
+from ..quick_jit import quick_jit
+
 
 PARAMETERS = Parameters(collision_range=0.5)
+
+
+energy_there = quick_jit(collision_energy)
+clearances_there = quick_jit(collision_clearances)
+narrow_there = quick_jit(narrow_collisions)
 
 
 def membrane_of(vertices):
@@ -56,32 +63,38 @@ def above(height):
     return membrane_of(vertices), pairs(vertices, vertex=[(3, (0, 1, 2))])
 
 
+@quick_jit
+def _value_and_slope(height):
+    return jax.value_and_grad(lambda z: collision_energy(*above(z), PARAMETERS))(height)
+
+
+def at_height(height):
+    """The energy of a vertex over a triangle, and its slope."""
+    return _value_and_slope(jnp.asarray(height, float))
+
+
 @pytest.mark.parametrize("height", [0.05, 0.2, 0.35, 0.49])
 def test_vertex_over_a_triangle_has_the_repulsive_profile_and_the_barrier(height):
     u = height / 0.5
-    wanted = A2(0.0, PARAMETERS.smoothing).energy(jnp.asarray(u))
+    wanted = quick_jit(A2(0.0, PARAMETERS.smoothing).energy)(jnp.asarray(u))
     wanted += 10 * (-((u - 0.3) ** 2) * np.log(u / 0.3) if u < 0.3 else 0)
-    energy = collision_energy(*above(height), PARAMETERS)
+    energy, _ = at_height(height)
     np.testing.assert_allclose(energy, 0.5 * wanted, rtol=1e-12)
 
 
 def test_nothing_is_felt_beyond_the_range():
-    value, slope = jax.value_and_grad(
-        lambda z: collision_energy(*above(z), PARAMETERS)
-    )(0.5000001)
+    value, slope = at_height(0.5000001)
     assert value == 0
     assert slope == 0
 
 
 @pytest.mark.parametrize("height", np.linspace(0.01, 0.499, 12))
 def test_collisions_only_repel(height):
-    slope = jax.grad(lambda z: collision_energy(*above(z), PARAMETERS))(height)
-    assert slope < 0
+    assert at_height(height)[1] < 0
 
 
 def test_barrier_grows_without_bound():
-    slope = jax.grad(lambda z: collision_energy(*above(z), PARAMETERS))
-    assert slope(1e-8) < 1e3 * slope(1e-3) < 0
+    assert at_height(1e-8)[1] < 1e3 * at_height(1e-3)[1] < 0
 
 
 @pytest.mark.parametrize("name", ["barrier_range", "collision_range"])
@@ -99,9 +112,13 @@ def test_margins_have_derivatives_in_the_parameters(name, apart):
         there = listed(values) if lists is None else lists
         return collision_energy(membrane_of(vertices), there, values)
 
-    start = getattr(PARAMETERS, name)
-    slope = jax.grad(lambda v: energy(v, listed(PARAMETERS)))(start)
-    wanted = (energy(start + 1e-6) - energy(start - 1e-6)) / 2e-6
+    @quick_jit
+    def both(value):
+        return energy(value), jax.grad(lambda v: energy(v, listed(PARAMETERS)))(value)
+
+    start = jnp.asarray(getattr(PARAMETERS, name))
+    slope = both(start)[1]
+    wanted = (both(start + 1e-6)[0] - both(start - 1e-6)[0]) / 2e-6
     assert (abs(wanted) > 0.01) == (apart or name == "collision_range")
     np.testing.assert_allclose(slope, wanted, rtol=1e-7, atol=1e-9)
 
@@ -109,10 +126,10 @@ def test_margins_have_derivatives_in_the_parameters(name, apart):
 def test_neighbours_feel_nothing_beyond_their_margin():
     vertices = [*FLOOR, [0.0, 0.0, 0.2]]
     near = pairs(vertices, vertex=[(3, (0, 1, 2))], apart=False, margin=0.3)
-    assert collision_energy(membrane_of(vertices), near, PARAMETERS) == 0
+    assert energy_there(membrane_of(vertices), near, PARAMETERS) == 0
     vertices[3][2] = 0.1
     near = pairs(vertices, vertex=[(3, (0, 1, 2))], apart=False, margin=0.3)
-    assert collision_energy(membrane_of(vertices), near, PARAMETERS) > 0
+    assert energy_there(membrane_of(vertices), near, PARAMETERS) > 0
 
 
 def crossing(gap, angle=np.pi / 2):
@@ -124,7 +141,7 @@ def crossing(gap, angle=np.pi / 2):
 @pytest.mark.parametrize("gap", [0.01, 0.1, 0.149])
 def test_crossed_edges_have_the_barrier(gap):
     vertices, u = crossing(gap), gap / 0.5
-    energy = collision_energy(
+    energy = energy_there(
         membrane_of(vertices), pairs(vertices, edges=[(0, 1, 2, 3)]), PARAMETERS
     )
     wanted = -0.5 * 10 * (u - 0.3) ** 2 * np.log(u / 0.3)
@@ -137,7 +154,7 @@ def test_term_of_edges_fades_out_where_they_are_parallel():
     for angle in angles:
         vertices = crossing(0.05, angle)
         listed = pairs(vertices, edges=[(0, 1, 2, 3)])
-        energies.append(collision_energy(membrane_of(vertices), listed, PARAMETERS))
+        energies.append(energy_there(membrane_of(vertices), listed, PARAMETERS))
     full = energies[3]
     np.testing.assert_allclose(energies[0], 0, atol=1e-15)
     assert 0.3 * full < energies[1] < 0.6 * full
@@ -147,10 +164,8 @@ def test_term_of_edges_fades_out_where_they_are_parallel():
 def test_static_vertices_repel_too():
     vertices = [[0.0, 0.0, 0.2]]
     listed = pairs(vertices, vertex=[(0, (1, 2, 3))], still=FLOOR)
-    energy = collision_energy(membrane_of(vertices), listed, PARAMETERS)
-    np.testing.assert_allclose(
-        energy, collision_energy(*above(0.2), PARAMETERS), rtol=1e-12
-    )
+    energy = energy_there(membrane_of(vertices), listed, PARAMETERS)
+    np.testing.assert_allclose(energy, at_height(0.2)[0], rtol=1e-12)
 
 
 @pytest.fixture(scope="module")
@@ -174,14 +189,21 @@ def test_derivatives_are_those_of_the_energy(tangle):
         at = eqx.tree_at(lambda m: m.vertices, membrane, vertices)
         return collision_energy(at, listed, PARAMETERS)
 
-    slope = jax.jit(jax.grad(energy))
+    @quick_jit
+    def derived(vertices):
+        both = jax.value_and_grad(energy)
+        return *both(vertices), jax.jvp(jax.grad(energy), (vertices,), (way,))[1]
+
     at = membrane.vertices
     way = np.random.default_rng(1).normal(size=at.shape)
-    curve = jax.jit(lambda v: jax.jvp(jax.grad(energy), (v,), (way,))[1])(at)
     h = 1e-7
-    value = (energy(at + h * way) - energy(at - h * way)) / (2 * h)
-    np.testing.assert_allclose(np.sum(slope(at) * way), value, rtol=1e-5)
-    change = (slope(at + h * way) - slope(at - h * way)) / (2 * h)
+    (up, slope_up, _), (down, slope_down, _) = (
+        derived(at + s * h * way) for s in (1, -1)
+    )
+    _, slope, curve = derived(at)
+    value = (up - down) / (2 * h)
+    np.testing.assert_allclose(np.sum(slope * way), value, rtol=1e-5)
+    change = (slope_up - slope_down) / (2 * h)
     np.testing.assert_allclose(curve, change, rtol=1e-5, atol=1e-4 * abs(change).max())
 
 
@@ -209,13 +231,14 @@ def test_segment_distance_is_that_of_a_search():
     second[5:8, 1] = second[5:8, 0]  # a point
     wanted = [segment_oracle(a, b) for a, b in zip(first, second, strict=True)]
     ends = [split(jnp.asarray(x[:, end])) for x in (first, second) for end in (0, 1)]
-    found = segment_distance(*ends)
+    found = quick_jit(segment_distance)(*ends)
     np.testing.assert_allclose(found, wanted, rtol=1e-7)
 
 
 def test_half_of_the_clearance_keeps_all_pairs_apart(tangle):
     membrane, listed = tangle
-    clear = np.asarray(collision_clearances(membrane, listed))
+    clear = np.asarray(clearances_there(membrane, listed))
+    distances = quick_jit(Collisions.distances)
     rng = np.random.default_rng(0)
     for _ in range(20):
         step = rng.normal(size=(16, 3))
@@ -224,14 +247,14 @@ def test_half_of_the_clearance_keeps_all_pairs_apart(tangle):
             at = eqx.tree_at(
                 lambda m: m.vertices, membrane, membrane.vertices + share * step
             )
-            vertex, edge = listed.distances(at)
+            vertex, edge = distances(listed, at)
             assert vertex.min() > 0
             assert edge.min() > 0
 
 
 def test_clearance_is_the_smallest_distance_of_what_a_vertex_belongs_to():
     membrane, listed = above(0.2)
-    np.testing.assert_allclose(collision_clearances(membrane, listed), 0.2)
+    np.testing.assert_allclose(clearances_there(membrane, listed), 0.2)
 
 
 def test_list_is_stale_once_two_vertices_have_moved_by_its_skin_together(tangle):
@@ -245,9 +268,7 @@ def test_list_is_stale_once_two_vertices_have_moved_by_its_skin_together(tangle)
 
 
 def narrow(listed, membrane, room=256, skin=0.1):
-    return narrow_collisions(
-        listed, membrane, PARAMETERS, least=0.25, skin=skin, room=room
-    )
+    return narrow_there(listed, membrane, PARAMETERS, least=0.25, skin=skin, room=room)
 
 
 @pytest.fixture
@@ -267,7 +288,7 @@ def test_what_is_near_has_the_energy_and_the_forces_of_all_while_it_holds(loose)
     assert not near.full
     shorter = int((near.vertex_margin > 0).sum() + (near.edge_margin > 0).sum())
     assert 4 < shorter < 0.9 * (len(listed.vertex) + len(listed.edges))
-    energy = jax.jit(jax.value_and_grad(collision_energy, allow_int=True))
+    energy = quick_jit(jax.value_and_grad(collision_energy, allow_int=True))
     rng = np.random.default_rng(1)
     felt = 0
     for _ in range(20):
@@ -284,7 +305,7 @@ def test_what_is_near_has_the_energy_and_the_forces_of_all_while_it_holds(loose)
         np.testing.assert_allclose(of_near.vertices, of_all.vertices, atol=1e-11)
         felt += np.abs(of_all.vertices).max() > 1e-3
         # and so has the way that nothing may cross, for steps that are made
-        clear = [collision_clearances(at, lists) for lists in (listed, near)]
+        clear = [clearances_there(at, lists) for lists in (listed, near)]
         np.testing.assert_array_equal(*(np.minimum(c, 0.25) for c in clear))
     assert felt > 10
 

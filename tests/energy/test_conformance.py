@@ -1,11 +1,15 @@
 """What every energy term keeps: one battery over pairs, springs and contact."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+
+from .conftest import sheets_at_rest
 
 
 IDENTITY = 1e-12  # 64 eps, times the magnitude of sums over all pairs
@@ -70,16 +74,25 @@ def test_order_of_everything_is_irrelevant(term, scene):
     edge = rng.permutation(membrane.edges.shape[0])
     new_index = np.append(np.argsort(vertex), -1)
     mixed = eqx.tree_at(
-        lambda m: (m.vertices, m.faces, m.edges, m.opposite, m.rest),
+        lambda m: (
+            *(m.vertices, m.faces, m.edges, m.opposite, m.rest),
+            *(m.reference, m.hyperplasia),
+        ),
         membrane,
         (
             membrane.vertices[vertex],
             jnp.asarray(np.roll(new_index[membrane.faces][face], 1, axis=1)),
             jnp.asarray(new_index[membrane.edges][edge][:, ::-1].copy()),
             jnp.asarray(new_index[membrane.opposite][edge][:, ::-1].copy()),
-            {name: rest[edge] for name, rest in membrane.rest.items()},
+            {
+                name: rest[edge if len(rest) == len(edge) else face]
+                for name, rest in membrane.rest.items()
+            },
+            membrane.reference[vertex],
+            membrane.hyperplasia[vertex],
         ),
     )
+    mixed = sheets_at_rest(mixed)  # their metric is that of the first two edges
     before, slope = term(particles, membrane)
     after, same = term(jax.tree.map(lambda x: x[order], particles), mixed)
     np.testing.assert_allclose(after, before, rtol=IDENTITY)
@@ -104,50 +117,69 @@ def test_torques_add_up_to_nothing(term, scene):
     np.testing.assert_allclose(torque, np.zeros(3), atol=10 * IDENTITY)
 
 
-def padded(scene, extra, garbage):
-    """The scene with `extra` dead slots of everything, filled with random values."""
+def padded(scene, garbage, like):
+    """The scene with dead slots up to the shapes of another, of random values."""
     rng = np.random.default_rng(garbage)
-
-    def more(array, values):
-        return jnp.concatenate([array, jnp.asarray(values).astype(array.dtype)])
-
     particles, membrane = scene.particles, scene.membrane
-    count = membrane.vertices.shape[0] + extra
-    dead = np.zeros(extra, bool)
-    return (
-        type(particles)(
-            more(particles.position, rng.uniform(-1, 4, (extra, 3))),
-            more(particles.species, rng.integers(0, 2, extra)),
-            more(particles.alive, dead),
-            more(particles.held, rng.random(extra) < 0.5),
-        ),
-        type(membrane)(
-            more(membrane.vertices, rng.uniform(-1, 4, (extra, 3))),
-            more(membrane.faces, rng.integers(0, count, (extra, 3))),
-            more(membrane.edges, rng.integers(0, count, (extra, 2))),
-            more(membrane.opposite, rng.integers(-1, count, (extra, 2))),
-            {
-                name: more(rest, rng.uniform(0, 2, (extra, rest.shape[1])))
-                for name, rest in membrane.rest.items()
+    count = len(like.membrane.vertices)
+
+    def more(array, full, values):
+        extra = (len(full) - len(array), *full.shape[1:])
+        return jnp.concatenate([array, jnp.asarray(values(extra)).astype(array.dtype)])
+
+    def filled(body, other, **values):
+        return dataclasses.replace(
+            body,
+            **{
+                name: more(getattr(body, name), getattr(other, name), some)
+                for name, some in values.items()
             },
-            more(membrane.vertex_alive, dead),
-            more(membrane.face_alive, dead),
-            more(membrane.edge_alive, dead),
-            more(membrane.pinned, rng.random(extra) < 0.5),
-            membrane.source,
-        ),
+        )
+
+    def somewhere(shape):
+        return rng.uniform(-1, 4, shape)
+
+    def perhaps(shape):
+        return rng.random(shape) < 0.5
+
+    particles = filled(
+        particles,
+        like.particles,
+        position=somewhere,
+        species=lambda shape: rng.integers(0, 2, shape),
+        alive=np.zeros,
+        held=perhaps,
+    )
+    rest = {
+        name: more(of, like.membrane.rest[name], lambda shape: rng.uniform(0, 2, shape))
+        for name, of in membrane.rest.items()
+    }
+    return particles, filled(
+        membrane.with_rest(rest),
+        like.membrane,
+        vertices=somewhere,
+        faces=lambda shape: rng.integers(0, count, shape),
+        edges=lambda shape: rng.integers(0, count, shape),
+        opposite=lambda shape: rng.integers(-1, count, shape),
+        reference=somewhere,
+        hyperplasia=rng.random,
+        vertex_alive=np.zeros,
+        face_alive=np.zeros,
+        edge_alive=np.zeros,
+        pinned=perhaps,
     )
 
 
 @pytest.mark.parametrize("garbage", [1, 2])
-def test_padding_is_inert_whatever_it_holds(term, scene, garbage):
-    before, slope = term(scene.particles, scene.membrane)
-    after, with_padding = term(*padded(scene, 9, garbage))
+def test_padding_is_inert_whatever_it_holds(term, scene, small, garbage):
+    before, slope = term(small.particles, small.membrane)
+    after, with_padding = term(*padded(small, garbage, like=scene))
     np.testing.assert_allclose(after, before, rtol=IDENTITY)
     for long, short in zip(
         jax.tree.leaves(with_padding), jax.tree.leaves(slope), strict=True
     ):
         np.testing.assert_allclose(long[: len(short)], short, atol=IDENTITY)
+        assert len(long) > len(short)
         assert not np.any(long[len(short) :])
 
 

@@ -6,36 +6,45 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxgrow.energy.bending import Bending
 from jaxgrow.energy.contact import list_contacts, reach
-from jaxgrow.energy.springs import Springs
+from jaxgrow.energy.terms import MEMBRANE_TERMS
 from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.loops import blocks, with_loops
 from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.products import hessian_product
 from jaxgrow.neighbors.verlet_list import Neighbors
 
+from ..quick_jit import quick_jit
 from .conftest import all_pairs, CONTACTS, COUNT, dense_list, PARAMETERS
 from .test_conformance import coincidences, padded
 
 
-def plain(scene):
+# all of one shape, so that each term is compiled once
+
+
+def plain(scene, _):
     return scene.particles, scene.membrane
 
 
-def with_padding(scene):
+def with_padding(scene, small):
     """Dead slots of everything with garbage in them, among them triangles and edges."""
-    return padded(scene, 9, 3)
+    return padded(small, 3, like=scene)
 
 
-SCENES = {"random": plain, "padding": with_padding, "degenerate": coincidences}
-TERMS = ["pair", "springs", "bending", "contact", "collision"]
+def degenerate(scene, _):
+    return coincidences(scene)
+
+
+SCENES = {"random": plain, "padding": with_padding, "degenerate": degenerate}
+TERMS = ["pair", *(term.name for term in MEMBRANE_TERMS), "contact", "collision"]
+SINGULAR = ["contact", "collision", "bending", "area", "tension"]  # where degenerate
 
 
 def problem_of(term, particles, membrane):
     """A problem that has the term alone, and its lists."""
     parameters = jax.tree.map(lambda v: jnp.asarray(v, float), PARAMETERS)
-    terms = {"springs": (Springs(),), "bending": (Bending(),)}.get(term, ())
+    known = {own.name: (own,) for own in MEMBRANE_TERMS}
+    terms = known.get(term, ())
     lists = Lists(None, None)
     if term == "pair":
         count = particles.position.shape[0]
@@ -50,21 +59,25 @@ def problem_of(term, particles, membrane):
     else:
         particles = None
     if term == "collision":
-        lists = lists.with_collisions(all_pairs(membrane))
+        lists = lists.with_collisions(quick_jit(all_pairs)(membrane))
     return Problem(particles, membrane, parameters, terms=terms), lists
 
 
-@eqx.filter_jit
-def evaluated(problem, lists, along):
+def values(problem, lists, along):
     """Forces, bounds of a step, and a Hessian product."""
     nodes = problem.nodes()
     both = problem.forces_and_bound(nodes, lists, 0.1)
     return *both, hessian_product(problem, nodes, lists)(along)
 
 
-@eqx.filter_jit
-def slope_of(problem, lists):
-    return jax.grad(lambda nodes: problem.energy(nodes, lists))(problem.nodes())
+@quick_jit
+def reference(problem, lists, along):
+    """The same without loops, forces by the derivative of the energy."""
+    force = jax.grad(lambda nodes: -problem.energy(nodes, lists))(problem.nodes())
+    return force, *values(problem, lists, along)[1:]
+
+
+evaluated = eqx.filter_jit(values)
 
 
 def close(found, wanted, within=1e-12):
@@ -87,9 +100,9 @@ def term(request):
 
 
 @pytest.fixture(scope="module")
-def make(scene, term):
+def make(scene, small, term):
     def problem(kind):
-        problem, lists = problem_of(term, *SCENES[kind](scene))
+        problem, lists = problem_of(term, *SCENES[kind](scene, small))
         looped = with_loops(problem, lists, products=True)
         assert looped.loops is not None
         assert looped.loops.names == (term,)
@@ -113,13 +126,13 @@ def way_of(problem):
 
 def test_forces_are_minus_the_derivative_of_the_energy(make, kind, term):
     problem, looped, lists = make(kind)
-    force = seen(problem, evaluated(looped, lists, way_of(problem))[0])
+    along = way_of(problem)
+    force = seen(problem, evaluated(looped, lists, along)[0])
     if kind == "degenerate" and term == "contact":
         # a particle on the surface: the direction of its force is that of rounding
         assert all(bool(jnp.isfinite(f).all()) for f in jax.tree.leaves(force))
         return
-    wanted = jax.tree.map(jnp.negative, slope_of(problem, lists))
-    close(force, seen(problem, wanted))
+    close(force, seen(problem, reference(problem, lists, along)[0]))
     size = max(float(jnp.abs(f).max()) for f in jax.tree.leaves(force))
     assert size > 0.01
 
@@ -127,21 +140,23 @@ def test_forces_are_minus_the_derivative_of_the_energy(make, kind, term):
 def test_bounds_of_a_step_are_those_of_xla(make, kind):
     problem, looped, lists = make(kind)
     along = way_of(problem)
-    found, wanted = (evaluated(p, lists, along)[1] for p in (looped, problem))
+    found = evaluated(looped, lists, along)[1]
+    wanted = reference(problem, lists, along)[1]
     close(seen(problem, found), seen(problem, wanted))
 
 
 def test_hessian_products_are_derivatives_of_the_forces(make, kind, term):
     problem, looped, lists = make(kind)
-    along = seen(problem, way_of(problem))
-    found = evaluated(looped, lists, along)[2]
-    if kind == "degenerate" and term in ("contact", "collision", "bending"):
+    along = way_of(problem)
+    found = evaluated(looped, lists, seen(problem, along))[2]
+    if kind == "degenerate" and term in SINGULAR:
         return  # the second derivative is singular there
-    wanted = evaluated(problem, lists, along)[2]
+    wanted = reference(problem, lists, seen(problem, along))[2]
     close(seen(problem, found), seen(problem, wanted), 1e-11)
 
 
-def blocks_of(problem, lists):
+@quick_jit
+def reference_blocks(problem, lists):
     """The diagonal blocks of the second derivative of the energy."""
     leaves, structure = jax.tree.flatten(problem.nodes())
     rows = jnp.concatenate(leaves)
@@ -155,16 +170,19 @@ def blocks_of(problem, lists):
         )[i]
 
     each = jax.vmap(jax.jacfwd(slope), (None, 0))
-    return jax.jit(each)(jnp.zeros(3), jnp.arange(len(rows)))
+    return each(jnp.zeros(3), jnp.arange(len(rows)))
+
+
+found_blocks = eqx.filter_jit(blocks)
 
 
 def test_diagonal_blocks_are_those_of_the_second_derivative(make, kind, term):
     problem, looped, lists = make(kind)
-    if kind == "degenerate" and term in ("contact", "collision", "bending"):
+    if kind == "degenerate" and term in SINGULAR:
         return  # the second derivative is singular there
     alive = np.concatenate(jax.tree.leaves(problem.free()))[:, 0] > 0
-    found = jax.jit(blocks)(looped, lists)[: len(alive)].reshape(-1, 3, 3)[alive]
-    wanted = blocks_of(problem, lists)[alive]
+    found = found_blocks(looped, lists)[: len(alive)].reshape(-1, 3, 3)[alive]
+    wanted = reference_blocks(problem, lists)[alive]
     size = float(jnp.linalg.norm(wanted))
     assert size > 0.1
     error = float(jnp.linalg.norm(found - wanted))
