@@ -43,17 +43,19 @@ class Minimiser(Protocol):
 
 
 class Descent(eqx.Module):
-    """State of a descent.
+    """State of a descent, and the outcome of every relaxation method.
 
     Attributes:
         nodes: positions accepted last.
         force: at these positions, on all nodes.
-        lists: the current lists.
-        memory: of the minimiser.
+        lists: the current lists; valid there, unless one overflowed.
+        memory: of the minimiser; None for a method that has none.
         residual: largest force on a free node, in F(0).
-        steps: number of steps made; there is one evaluation of forces more.
+        steps: number of steps made, with one evaluation of forces more; of Newton's
+            method the Hessian products, of Gauss-Seidel the sweeps.
         rebuilds: number of list rebuilds.
-        code: of the `Result`; STEP_LIMIT while it runs.
+        code: of the `Result`; STEP_LIMIT while it runs, or if the tolerance was not
+            reached.
     """
 
     nodes: Nodes

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxgrow.energy.pair import force_on
+from jaxgrow.equilibrium.descent import Descent
 from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.numerics.guards import safe_norm
@@ -24,35 +25,13 @@ largest force is below 1e-4 F(0) after 60 sweeps with h = 0.8, after 312 with 0.
 42 with 0.9, and never with 1."""
 
 
-class Swept(eqx.Module):
-    """Outcome of `sweep`.
-
-    Attributes:
-        nodes: positions accepted last.
-        force: there, on all particles.
-        lists: valid there.
-        residual: largest force on a free particle, in F(0).
-        steps: number of sweeps.
-        rebuilds: number of list rebuilds.
-        code: of the `Result`; STEP_LIMIT if the tolerance was not reached.
-    """
-
-    nodes: Nodes
-    force: Nodes
-    lists: Lists
-    residual: Float[Array, ""]
-    steps: Int[Array, ""]
-    rebuilds: Int[Array, ""]
-    code: Int[Array, ""]
-
-
 def sweep(
     problem: Problem,
     lists: Lists,
     tolerance: Float[Array, ""],
     max_steps: Int[Array, ""],
     largest: Float[Array, ""],
-) -> Swept:
+) -> Descent:
     """Sweep over all particles until the largest force is at most `tolerance`.
 
     Args:
@@ -93,15 +72,16 @@ def sweep(
         end = jax.lax.fori_loop(0, able.shape[0], turn, moved.particles)
         return Nodes(end.position, None)
 
-    def step(now: Swept) -> Swept:
+    def step(now: Descent) -> Descent:
         nodes = one(now.nodes, now.lists)
         outgrown = problem.outgrown(nodes, now.lists)
         lists = problem.rebuilt(nodes, now.lists, outgrown)
         force, residual, code = judge(nodes, lists)
-        after = Swept(
+        after = Descent(
             nodes,
             force,
             lists,
+            None,
             residual,
             now.steps + 1,
             now.rebuilds + outgrown.any().astype(int),
@@ -114,7 +94,7 @@ def sweep(
 
     force, residual, code = judge(problem.nodes(), lists)
     none = jnp.zeros((), int)
-    start = Swept(problem.nodes(), force, lists, residual, none, none, code)
+    start = Descent(problem.nodes(), force, lists, None, residual, none, none, code)
     return jax.lax.while_loop(
         lambda now: (now.code == Result.STEP_LIMIT.code) & (now.steps < max_steps),
         step,

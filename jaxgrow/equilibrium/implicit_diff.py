@@ -54,7 +54,7 @@ from jaxgrow.state import Nodes
 EXACT = 1e-8
 """Relative residual of the linear solve of a derivative in 64 bits, and about its
 error. With 1e-10 a solve takes a quarter more products, and gradients of growths are
-not nearer to differences (``experiments/gradient_quality.py``)."""
+not nearer to differences (``experiments/studies/gradient_quality.py``)."""
 
 
 class Equilibrium(NamedTuple):

@@ -5,10 +5,11 @@ from typing import NamedTuple
 import equinox as eqx
 
 from jaxgrow.energy.parameters import Parameters
+from jaxgrow.equilibrium.extra_terms import ExtraTerms
 from jaxgrow.equilibrium.hessian_solve import linearise, respond, Response
 from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.loops import with_loops
-from jaxgrow.equilibrium.problem import ExtraTerms, Problem
+from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.refresh_lists import allocate_lists, fits, prepared
 from jaxgrow.equilibrium.transformations import (
     check_transformations,

@@ -1,7 +1,7 @@
 """Relaxation methods, and the driver that reallocates overflowing lists."""
 
 from collections.abc import Callable, Iterator
-from typing import Any, get_args, Literal, NamedTuple
+from typing import Literal, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -10,27 +10,25 @@ from jax.typing import DTypeLike
 from jaxtyping import PyTree
 
 from jaxgrow.energy.parameters import Parameters
-from jaxgrow.equilibrium.descent import blank_memory, descend, Minimiser
-from jaxgrow.equilibrium.euler import Euler
-from jaxgrow.equilibrium.fire import FIRE
-from jaxgrow.equilibrium.gauss_seidel import sweep
+from jaxgrow.equilibrium.descent import blank_memory, descend, Descent, Minimiser
 from jaxgrow.equilibrium.lbfgs import LBFGS
 from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.loops import how_terms_run, with_loops
 from jaxgrow.equilibrium.native_descent import descend_by_loop
 from jaxgrow.equilibrium.native_lists import why_not_looped
-from jaxgrow.equilibrium.newton import polish
 from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.equilibrium.refresh_lists import allocate_lists, CollisionLister, prepared
-from jaxgrow.equilibrium.trust_region import descend_by_trust
+from jaxgrow.equilibrium.relaxers import method_names, POLISH, Program, RELAXERS
 from jaxgrow.runtime.descents import note_descent
 from jaxgrow.runtime.results import Result
 from jaxgrow.state import Nodes
 
 
-Method = Literal[
-    "auto", "lbfgs", "fire", "newton", "local", "euler", "serial", "staggered"
-]
+Method: TypeAlias = (
+    Literal["auto", "lbfgs", "fire", "newton", "local", "euler", "serial", "staggered"]
+    | str
+)
+"""Name of a method: one of jaxgrow's, or one that was registered."""
 
 NEAR = 1e-4
 """Residual, in F(0), from which Newton's method converges without help."""
@@ -49,9 +47,7 @@ TIGHT = 1e-6
 _descend = eqx.filter_jit(descend)
 # all arguments are arrays, and the call of jax.jit takes a tenth of the time
 _descend_by_loop = jax.jit(descend_by_loop)
-_polish = eqx.filter_jit(polish)
-_sweep = eqx.filter_jit(sweep)
-_descend_by_trust = eqx.filter_jit(descend_by_trust)
+_run = eqx.filter_jit(lambda run, *given: run(*given))
 _blank_memory = eqx.filter_jit(blank_memory)
 
 
@@ -60,13 +56,13 @@ class Stage(NamedTuple):
 
     Attributes:
         name: of the method.
-        minimiser: None for a method that is not a `Minimiser`.
+        method: None for a method that calls others.
         tolerance: largest force at its end, in F(0).
         polishes: whether it runs only after a method that came near an equilibrium.
     """
 
     name: str
-    minimiser: Minimiser | None
+    method: Minimiser | Program | None
     tolerance: float
     polishes: bool = False
 
@@ -110,28 +106,27 @@ def stages_of(method: str, tolerance: float, parameters: Parameters) -> Iterator
     Raises:
         ValueError: the method is unknown.
     """
-    if method not in (known := get_args(Method)):
+    if method not in (known := method_names()):
         raise ValueError(f"method is {method!r}; it must be one of {list(known)}.")
+
+    def own(name: str) -> Stage:
+        return Stage(name, RELAXERS[name](parameters), tolerance)
+
     # lazily, as most relaxations end with the first
     if method == "local":
         yield Stage("local", None, max(tolerance, NEAR))
-    lbfgs = Stage("lbfgs", LBFGS(), tolerance)
-    if method == "lbfgs":
-        yield lbfgs
-    elif method in ("auto", "local"):
+    if method in ("auto", "local"):
+        lbfgs = own("lbfgs")
         yield lbfgs._replace(tolerance=max(tolerance, POLISHED))
         if tolerance < TIGHT:
-            yield Stage("newton", None, tolerance, polishes=True)
+            yield Stage("newton", POLISH, tolerance, polishes=True)
         if tolerance < POLISHED:
             yield lbfgs._replace(polishes=True)
-    elif method in ("newton", "serial", "staggered"):
+        yield own("fire")
+    elif method == "staggered":
         yield Stage(method, None, tolerance)
-    # the stiffest pairs bound the stable time step: 2 / √λ, and λ grows with s
-    stiffest = jnp.maximum(1.0, parameters.tumour_stiffness)
-    if method == "euler":
-        yield Stage("euler", Euler(Euler.rate / stiffest), tolerance)
-    if method in ("auto", "local", "fire"):
-        yield Stage("fire", FIRE(largest=0.4 / jnp.sqrt(stiffest)), tolerance)
+    else:
+        yield own(method)
 
 
 def run_stage(
@@ -143,19 +138,20 @@ def run_stage(
     observe: Callable[[Nodes], None] | None,
 ) -> MethodResult:
     """Run one method; reallocate every list that overflows, larger."""
-    newton = stage.name == "newton"
-    problem = with_loops(problem, lists, products=newton)
+    method = stage.method
+    products = isinstance(method, Program) and method.products
+    problem = with_loops(problem, lists, products=products)
     run = _path(problem, lists, stage, limits)
     steps = rebuilds = overflows = 0
     memory = None
-    if stage.minimiser is not None and (collide is not None or observe is not None):
-        memory = _blank_memory(problem, stage.minimiser)
+    if isinstance(method, Minimiser) and (collide is not None or observe is not None):
+        memory = _blank_memory(problem, method)
     while True:
         lists = prepared(problem, lists, collide, refresh=run.refreshes)
-        problem = with_loops(problem, lists, products=newton)
+        problem = with_loops(problem, lists, products=products)
         left = limits.max_steps - steps
         # Newton's method is not observed step by step
-        single = observe is not None and not newton
+        single = observe is not None and not products
         outcome = run(problem, lists, 1 if single else left, memory)
         steps, rebuilds = steps + outcome.steps, rebuilds + outcome.rebuilds
         memory, lists = outcome.memory, outcome.lists
@@ -217,7 +213,7 @@ class _Looped(NamedTuple):
         end = _descend_by_loop(
             problem, lists, self.minimiser, tolerance, most, largest, memory
         )
-        return _outcome(end, end.memory, int(end.steps), int(end.rebuilds))
+        return _outcome(end)
 
 
 class _Compiled:
@@ -233,40 +229,38 @@ class _Compiled:
     def __call__(
         self, problem: Problem, lists: Lists, most: int, memory: PyTree
     ) -> _Outcome:
-        name, minimiser = self._stage.name, self._stage.minimiser
+        method = self._stage.method
+        assert method is not None
         bounds = self._tolerance, jnp.asarray(most), self._largest
-        if name == "serial":
-            end = _sweep(problem, lists, *bounds)
-            return _outcome(end, memory, int(end.steps), int(end.rebuilds))
-        if name == "newton" and self._stage.polishes:
-            end = _polish(problem, lists, self._tolerance, self._largest)
-            return _outcome(end, memory, int(end.products), 0)
-        if name == "newton":
-            end = _descend_by_trust(problem, lists, *bounds)
-            return _outcome(end, memory, int(end.products), int(end.rebuilds))
-        assert minimiser is not None
-        end = _descend(problem, lists, minimiser, *bounds, memory)
-        return _outcome(end, end.memory, int(end.steps), int(end.rebuilds))
+        if isinstance(method, Program):
+            return _outcome(_run(method.run, problem, lists, *bounds))
+        return _outcome(_descend(problem, lists, method, *bounds, memory))
 
 
 def _path(
     problem: Problem, lists: Lists, stage: Stage, limits: Limits
 ) -> _Looped | _Compiled:
     """Choose the runner of a method for this problem; count L-BFGS descents."""
-    if isinstance(stage.minimiser, LBFGS):
+    if isinstance(stage.method, LBFGS):
         why_not, terms = why_not_looped(problem), how_terms_run(problem, lists)
         without = [name for name, how in terms.items() if how != "loop"]
         if why_not is None and without:
             why_not = f"there is no loop for {', '.join(without)}"
         note_descent(why_not, terms)
         if why_not is None:
-            return _Looped(stage.minimiser, limits)
+            return _Looped(stage.method, limits)
     return _Compiled(stage, limits, problem)
 
 
-def _outcome(end: Any, memory: PyTree, steps: int, rebuilds: int) -> _Outcome:
+def _outcome(end: Descent) -> _Outcome:
     """Convert a program's outcome, with its numbers on the host."""
-    result, residual = Result.of(end.code), float(end.residual)
     return _Outcome(
-        end.nodes, end.force, end.lists, memory, result, residual, steps, rebuilds
+        end.nodes,
+        end.force,
+        end.lists,
+        end.memory,
+        Result.of(end.code),
+        float(end.residual),
+        int(end.steps),
+        int(end.rebuilds),
     )

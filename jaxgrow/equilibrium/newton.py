@@ -10,8 +10,9 @@ Hessian has negative curvature: this method then stops at the best positions fou
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
+from jaxgrow.equilibrium.descent import Descent
 from jaxgrow.equilibrium.hessian_solve import linearise, solve
 from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.problem import Problem
@@ -27,32 +28,12 @@ _HALVINGS = 6
 """Number of halvings of a displacement that does not reduce the largest force."""
 
 
-class Polished(eqx.Module):
-    """Outcome of `polish`.
-
-    Attributes:
-        nodes: the best positions found; the lists are valid for them.
-        force: there, on all nodes.
-        lists: the current lists.
-        residual: largest force on a free node, in F(0).
-        products: number of Hessian products.
-        code: of the `Result`; STEP_LIMIT if the tolerance was not reached.
-    """
-
-    nodes: Nodes
-    force: Nodes
-    lists: Lists
-    residual: Float[Array, ""]
-    products: Int[Array, ""]
-    code: Int[Array, ""]
-
-
 def polish(
     problem: Problem,
     lists: Lists,
     tolerance: Float[Array, ""],
     largest: Float[Array, ""],
-) -> Polished:
+) -> Descent:
     """Iterate Newton's method: solve H δx = F and move by δx.
 
     The linear systems are solved only as exactly as the next iterate needs (inexact
@@ -64,6 +45,9 @@ def polish(
         lists: valid for it.
         tolerance: largest force allowed on a free node, in F(0).
         largest: longest displacement of a node in one iteration, in r0.
+
+    Returns:
+        The best positions found; the steps are Hessian products.
     """
     free = problem.free()
 
@@ -72,12 +56,12 @@ def polish(
         each = jax.tree.map(lambda f, on: jnp.max(safe_norm(on * f)), force, free)
         return force, jnp.max(jnp.stack(jax.tree.leaves(each)))
 
-    def running(now: tuple[Polished, Array]) -> Array:
+    def running(now: tuple[Descent, Array]) -> Array:
         best, iterations = now
         unfinished = (best.code == Result.STEP_LIMIT.code) & ~best.lists.stale
         return unfinished & (iterations < MAX_ITERATIONS)
 
-    def iterate(now: tuple[Polished, Array]) -> tuple[Polished, Array]:
+    def iterate(now: tuple[Descent, Array]) -> tuple[Descent, Array]:
         best, iterations = now
         relative = jnp.clip(best.residual, 0.03 * tolerance / best.residual, 1e-2)
         at = problem.at(best.nodes)
@@ -122,17 +106,18 @@ def polish(
         _, (nodes, moved, force, residual), _ = jax.lax.while_loop(worse, halve, begin)
         better = (residual < best.residual) & ~moved.overflow
         code = jnp.where(residual <= tolerance, Result.CONVERGED.code, best.code)
-        after = Polished(nodes, force, moved, residual, best.products, code)
-        kept = jax.tree.map(lambda a, b: jnp.where(better, a, b), after, best)
-        kept = eqx.tree_at(
-            lambda k: k.products, kept, best.products + response.products
+        after = Descent(
+            nodes, force, moved, None, residual, best.steps, best.rebuilds, code
         )
+        kept = jax.tree.map(lambda a, b: jnp.where(better, a, b), after, best)
+        kept = eqx.tree_at(lambda k: k.steps, kept, best.steps + response.products)
         return kept, jnp.where(better, iterations + 1, MAX_ITERATIONS)
 
     force, residual = measure(problem.nodes(), lists)
     code = jnp.where(
         residual <= tolerance, Result.CONVERGED.code, Result.STEP_LIMIT.code
     )
-    start = Polished(problem.nodes(), force, lists, residual, jnp.zeros((), int), code)
-    best, _ = jax.lax.while_loop(running, iterate, (start, jnp.zeros((), int)))
+    none = jnp.zeros((), int)
+    start = Descent(problem.nodes(), force, lists, None, residual, none, none, code)
+    best, _ = jax.lax.while_loop(running, iterate, (start, none))
     return best

@@ -1,7 +1,6 @@
 """Minimisation problem: the sum of the energy terms that a scene has."""
 
-from collections.abc import Callable, Sequence
-from typing import Any, cast, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -29,6 +28,12 @@ from jaxgrow.energy.pair import pair_energy, pair_force
 from jaxgrow.energy.parameters import as_arrays, Parameters
 from jaxgrow.energy.term import energy_of_elements, MembraneTerm, Term
 from jaxgrow.energy.terms import MEMBRANE_TERMS
+from jaxgrow.equilibrium.extra_terms import (
+    as_module,
+    check_names,
+    EnergyFunction,
+    ExtraTerms,
+)
 from jaxgrow.equilibrium.lists import Lists, Outgrown
 from jaxgrow.equilibrium.loops import evaluate, Loops, wired
 from jaxgrow.neighbors import verlet_list as nb
@@ -66,34 +71,6 @@ class Distances(NamedTuple):
 
     contact: Float[Array, " p"] | None
     collision: PairDistances | None
-
-
-EnergyFunction: TypeAlias = Callable[[Particles | None, Membrane | None], Array]
-"""Energy of particles and membrane, in F(0) r0."""
-
-
-ExtraTerms: TypeAlias = Sequence[Term | EnergyFunction]
-"""Additional energies."""
-
-
-class _Function(eqx.Module):
-    """Plain function as an energy; each object is another program."""
-
-    function: EnergyFunction = eqx.field(static=True)
-
-    @property
-    def name(self) -> str:
-        """Name of the function."""
-        return getattr(self.function, "__name__", type(self.function).__name__)
-
-    def __call__(self, particles: Particles | None, membrane: Membrane | None) -> Array:
-        return self.function(particles, membrane)
-
-
-def _as_module(function: EnergyFunction) -> EnergyFunction:
-    """Wrap a function; its arrays, if any, become arguments of a program."""
-    own = function if isinstance(function, eqx.Module) else _Function(function)
-    return cast(EnergyFunction, own)
 
 
 def _acts(modulus: Scalar) -> bool:
@@ -143,11 +120,16 @@ class Problem(eqx.Module):
             load: external force on every vertex, in F(0).
             extra: further terms: objects of the kind of `jaxgrow.energy.term.Term`, or
                 functions of particles and membrane.
+
+        Raises:
+            ValueError: terms share a name.
         """
         parameters = Parameters() if parameters is None else parameters
         known = MEMBRANE_TERMS if membrane is not None else ()
+        own = [term for term in extra if isinstance(term, Term)]
+        check_names(own)
         terms = [t for t in known if _acts(getattr(parameters, t.modulus))]
-        terms += [term for term in extra if isinstance(term, Term)]
+        terms += own
         functions = [f for f in extra if not isinstance(f, Term)]
         if membrane is not None:
             new = [t for t in terms if isinstance(t, MembraneTerm)]
@@ -159,7 +141,7 @@ class Problem(eqx.Module):
         problem = cls(
             *(particles, membrane, parameters, load),
             terms=tuple(terms),
-            functions=tuple(map(_as_module, functions)),
+            functions=tuple(map(as_module, functions)),
         )
         arrays = as_arrays(parameters, problem.dtype)
         return problem.but(parameters=arrays)

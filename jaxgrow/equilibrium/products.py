@@ -10,9 +10,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxgrow.equilibrium.extra_terms import EnergyFunction
 from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.loops import evaluate
-from jaxgrow.equilibrium.problem import EnergyFunction, Problem
+from jaxgrow.equilibrium.problem import Problem
 from jaxgrow.state import Nodes
 
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from jaxgrow.energy.parameters import Parameters
 from jaxgrow.equilibrium.active_set import is_local, may_pay, relax_locally
+from jaxgrow.equilibrium.extra_terms import ExtraTerms
 from jaxgrow.equilibrium.implicit_diff import at_equilibrium, Equilibrium
 from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.methods import (
@@ -20,7 +21,7 @@ from jaxgrow.equilibrium.methods import (
     run_stage,
     stages_of,
 )
-from jaxgrow.equilibrium.problem import ExtraTerms, LARGEST_STEP, Problem
+from jaxgrow.equilibrium.problem import LARGEST_STEP, Problem
 from jaxgrow.equilibrium.refresh_lists import (
     allocate_lists,
     CollisionLister,
@@ -157,7 +158,8 @@ def relax(
             method if the tolerance is below 1e-12, or if it is below 1e-6 and L-BFGS
             does not converge, then FIRE if they do not; "local": the same after
             relaxing the disturbed part separately, with growing size, which "auto" does
-            too for many thousands of nodes.
+            too for many thousands of nodes; or one of your own
+            (`jaxgrow.register_relaxer`).
         max_steps: bound on the steps of each method.
         largest_step: longest displacement of a node in one step, in r0.
         load: external force on every vertex, padding included, (m, 3), in F(0).

@@ -247,6 +247,10 @@ def _cut_membrane(membrane: Membrane, near: Mask, moving: Mask, room: int) -> Me
             else fitted(get(rest)[of_faces], rest, 2 * room)
             for name, rest in membrane.rest.items()
         },
+        reference=fitted(get(membrane.reference)[chosen], membrane.reference, room),
+        hyperplasia=fitted(
+            get(membrane.hyperplasia)[chosen], membrane.hyperplasia, room
+        ),
         vertex_alive=put(np.arange(room) < chosen.sum()),
         face_alive=put(np.arange(2 * room) < len(faces)),
         edge_alive=put(np.arange(3 * room) < len(edges)),

@@ -24,6 +24,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxgrow.equilibrium.descent import Descent
 from jaxgrow.equilibrium.hessian_solve import dot, Product
 from jaxgrow.equilibrium.lists import Lists
 from jaxgrow.equilibrium.problem import Problem
@@ -42,28 +43,6 @@ _ACCEPTED = 0.05
 
 _SMALLEST_SHARE = 1e-12
 """Share of the bounds below which the iteration stops."""
-
-
-class Trusted(eqx.Module):
-    """Outcome of `descend_by_trust`.
-
-    Attributes:
-        nodes: positions accepted last.
-        force: there, on all nodes.
-        lists: valid there, unless one overflowed.
-        residual: largest force on a free node, in F(0).
-        products: number of Hessian products.
-        rebuilds: number of list rebuilds.
-        code: of the `Result`; STEP_LIMIT if the tolerance was not reached.
-    """
-
-    nodes: Nodes
-    force: Nodes
-    lists: Lists
-    residual: Float[Array, ""]
-    products: Int[Array, ""]
-    rebuilds: Int[Array, ""]
-    code: Int[Array, ""]
 
 
 class _Step(eqx.Module):
@@ -87,7 +66,7 @@ class _Step(eqx.Module):
 
 
 class _Now(eqx.Module):
-    """State of a `Trusted`, with the next trial.
+    """State of the descent, with the next trial.
 
     Attributes:
         best: accepted state.
@@ -100,7 +79,7 @@ class _Now(eqx.Module):
             accepted state after a rejected trial. So the evaluation is compiled once.
     """
 
-    best: Trusted
+    best: Descent
     energy: Float[Array, ""]
     share: Float[Array, ""]
     trial: Nodes
@@ -185,77 +164,54 @@ def _lessen(
     return jax.lax.while_loop(searching, search, start)
 
 
-def descend_by_trust(
-    problem: Problem,
-    lists: Lists,
-    tolerance: Float[Array, ""],
-    max_products: Int[Array, ""],
-    largest: Float[Array, ""],
-) -> Trusted:
-    """Move the free nodes until the largest force is at most `tolerance`.
+class _Region(eqx.Module):
+    """Trust region: how a trial is judged, and the next one found.
 
-    The region is a ball for each node, whose radius is the share of its bound. Where
-    the decrease of the energy is below its rounding, a step is judged by the largest
-    force instead.
+    The region is a ball for each node, whose radius is a share of its bound. Where the
+    decrease of the energy is below its rounding, a step is judged by the largest force
+    instead.
 
-    Args:
-        problem: the energy, and the start.
-        lists: valid for the start.
+    Attributes:
+        problem: the energy.
         tolerance: largest force allowed on a free node, in F(0).
         max_products: bound on the number of Hessian products.
         largest: longest displacement of a node in one iteration, in r0.
     """
-    free = problem.free()
-    rounding = 100 * jnp.finfo(problem.dtype).eps
 
-    def masked(nodes: Nodes) -> Nodes:
-        return jax.tree.map(jnp.multiply, free, nodes)
+    problem: Problem
+    tolerance: Float[Array, ""]
+    max_products: Int[Array, ""]
+    largest: Float[Array, ""]
 
-    def unfinished(best: Trusted) -> Array:
+    def masked(self, nodes: Nodes) -> Nodes:
+        """Return rows of free nodes, 0 for the others."""
+        return jax.tree.map(jnp.multiply, self.problem.free(), nodes)
+
+    def unfinished(self, best: Descent) -> Array:
+        """Return whether the tolerance may still be reached."""
         going = (best.code == Result.STEP_LIMIT.code) & ~best.lists.stale
-        return going & (best.products < max_products)
+        return going & (best.steps < self.max_products)
 
-    def iterate(now: _Now) -> _Now:
+    def iterate(self, now: _Now) -> _Now:
         """Evaluate the trial, accept or reject it, and reduce the model there."""
-        best = now.best
-        outgrown = problem.outgrown(now.trial, best.lists)
-        lists = problem.rebuilt(now.trial, best.lists, outgrown)
-        energy = problem.energy(now.trial, lists)
-        force = problem.forces(now.trial, lists)
-        hessian = hessian_product(problem, now.trial, lists)
-        residual = _largest(masked(force))
-        ratio = agreement(now, energy, residual)
-        taken = now.certain | ((ratio > _ACCEPTED) & jnp.isfinite(residual))
-        taken &= ~lists.overflow & ~lists.stale
-        there = Trusted(
-            now.trial,
-            force,
-            lists,
-            residual,
-            best.products,
-            best.rebuilds + outgrown.any().astype(int),
-            best.code,
-        )
-        best = jax.tree.map(lambda a, b: jnp.where(taken, a, b), there, best)
-        bound = problem.bound(best.nodes, best.lists, largest)
-        best = eqx.tree_at(
-            lambda b: (b.lists, b.code),
-            best,
-            (told(lists, best.lists), judged(best, lists, bound)),
-        )
-        share = jnp.where(now.certain, now.share, adapted(now, ratio))
-        force = masked(force)
+        there = self.evaluated(now)
+        energy = self.problem.energy(now.trial, there.lists)
+        hessian = hessian_product(self.problem, now.trial, there.lists)
+        ratio = self.agreement(now, energy, there.residual)
+        taken = self.accepts(now, there, ratio)
+        best, bound = self.after(now.best, there, taken)
+        share = jnp.where(now.certain, now.share, _adapted(now, ratio))
+        force = self.masked(there.force)
         step = _lessen(
             force,
-            lambda way: masked(hessian(masked(way))),
+            lambda way: self.masked(hessian(self.masked(way))),
             jax.tree.map(lambda b: share * b, bound),
-            jnp.sqrt(dot(force, force)) * exactness(best.residual),
-            jnp.where(taken & unfinished(best), max_products - best.products, 0),
+            jnp.sqrt(dot(force, force)) * self.exactness(best.residual),
+            jnp.where(taken & self.unfinished(best), self.max_products - best.steps, 0),
         )
-        best = eqx.tree_at(lambda b: b.products, best, best.products + step.products)
         foretold = 0.5 * (dot(force, step.p) + dot(step.r, step.p))  # H p is F - r
         return _Now(
-            best,
+            eqx.tree_at(lambda b: b.steps, best, best.steps + step.products),
             jnp.where(taken, energy, now.energy),
             share,
             _plus(best.nodes, 1.0, step.p),
@@ -264,37 +220,51 @@ def descend_by_trust(
             ~taken,
         )
 
-    def exactness(residual: Array) -> Array:
-        """Return the relative residual of the linear system at which to stop."""
-        return jnp.clip(jnp.sqrt(residual), 0.3 * tolerance / residual, _COARSEST)
+    def evaluated(self, now: _Now) -> Descent:
+        """Return the state at the trial, with lists that are valid there."""
+        best = now.best
+        outgrown = self.problem.outgrown(now.trial, best.lists)
+        lists = self.problem.rebuilt(now.trial, best.lists, outgrown)
+        force = self.problem.forces(now.trial, lists)
+        rebuilds = best.rebuilds + outgrown.any().astype(int)
+        residual = _largest(self.masked(force))
+        return Descent(
+            now.trial, force, lists, None, residual, best.steps, rebuilds, best.code
+        )
 
-    def agreement(now: _Now, energy: Array, residual: Array) -> Array:
+    def agreement(self, now: _Now, energy: Array, residual: Array) -> Array:
         """Return the ratio of actual to predicted decrease of the energy."""
+        rounding = 100 * jnp.finfo(self.problem.dtype).eps
         drowned = now.foretold <= rounding * jnp.maximum(1, jnp.abs(now.energy))
         ratio = (now.energy - energy) / jnp.where(drowned, 1, now.foretold)
         nearer = jnp.where(residual < now.best.residual, 1.0, 0.0).astype(ratio.dtype)
         return jnp.where(drowned, nearer, ratio)
 
-    def adapted(now: _Now, ratio: Array) -> Array:
-        """Return the share of their bounds that nodes may move next."""
-        wider = (ratio > 0.75) & (now.reached > 0.99 * now.share)
-        share = jnp.where(wider, jnp.minimum(1, 2 * now.share), now.share)
-        return jnp.where(ratio >= 0.25, share, 0.25 * now.reached)
+    def accepts(self, now: _Now, there: Descent, ratio: Array) -> Array:
+        """Return whether the trial becomes the accepted state."""
+        agrees = (ratio > _ACCEPTED) & jnp.isfinite(there.residual)
+        return (now.certain | agrees) & ~there.lists.overflow & ~there.lists.stale
 
-    def told(tried: Lists, lists: Lists) -> Lists:
-        """Return lists with the overflow and staleness of those that were tried."""
-        larger = jax.tree.map(
-            lambda a, b: jnp.where(tried.overflow, a, b), tried, lists
+    def after(
+        self, best: Descent, there: Descent, taken: Array
+    ) -> tuple[Descent, Nodes]:
+        """Return the accepted state, with its code, and the bounds of its nodes."""
+        tried = there.lists
+        best = jax.tree.map(lambda a, b: jnp.where(taken, a, b), there, best)
+        bound = self.problem.bound(best.nodes, best.lists, self.largest)
+        best = eqx.tree_at(
+            lambda b: (b.lists, b.code),
+            best,
+            (_noted(tried, best.lists), self.judged(best, tried, bound)),
         )
-        return larger.with_stale(tried.stale)
+        return best, bound
 
-    def judged(best: Trusted, tried: Lists, bound: Nodes) -> Array:
+    def judged(self, best: Descent, tried: Lists, bound: Nodes) -> Array:
         """Return the code of the accepted state."""
-        code = jnp.where(
-            best.residual <= tolerance, Result.CONVERGED.code, Result.STEP_LIMIT.code
-        )
+        reached = best.residual <= self.tolerance
+        code = jnp.where(reached, Result.CONVERGED.code, Result.STEP_LIMIT.code)
         none = jax.tree.map(
-            lambda b, on: jnp.any((b == 0) & (on[:, 0] > 0)), bound, free
+            lambda b, on: jnp.any((b == 0) & (on[:, 0] > 0)), bound, self.problem.free()
         )
         stuck = jnp.any(jnp.stack(jax.tree.leaves(none)))
         stuck &= code == Result.STEP_LIMIT.code
@@ -303,12 +273,51 @@ def descend_by_trust(
         code = jnp.where(finite, code, Result.NON_FINITE.code)
         return jnp.where(tried.overflow, Result.OVERFLOW.code, code)
 
+    def exactness(self, residual: Array) -> Array:
+        """Return the relative residual of the linear system at which to stop."""
+        return jnp.clip(jnp.sqrt(residual), 0.3 * self.tolerance / residual, _COARSEST)
+
+
+def _adapted(now: _Now, ratio: Array) -> Array:
+    """Return the share of their bounds that nodes may move next."""
+    wider = (ratio > 0.75) & (now.reached > 0.99 * now.share)
+    share = jnp.where(wider, jnp.minimum(1, 2 * now.share), now.share)
+    return jnp.where(ratio >= 0.25, share, 0.25 * now.reached)
+
+
+def _noted(tried: Lists, lists: Lists) -> Lists:
+    """Return lists with the overflow and staleness of those that were tried."""
+    larger = jax.tree.map(lambda a, b: jnp.where(tried.overflow, a, b), tried, lists)
+    return larger.with_stale(tried.stale)
+
+
+def descend_by_trust(
+    problem: Problem,
+    lists: Lists,
+    tolerance: Float[Array, ""],
+    max_products: Int[Array, ""],
+    largest: Float[Array, ""],
+) -> Descent:
+    """Move the free nodes until the largest force is at most `tolerance`.
+
+    Args:
+        problem: the energy, and the start.
+        lists: valid for the start.
+        tolerance: largest force allowed on a free node, in F(0).
+        max_products: bound on the number of Hessian products.
+        largest: longest displacement of a node in one iteration, in r0.
+
+    Returns:
+        The positions accepted last; the steps are Hessian products.
+    """
+    region = _Region(problem, tolerance, max_products, largest)
     zero, none = jnp.zeros((), problem.dtype), jnp.zeros((), int)
     nodes = problem.nodes()
-    start = Trusted(
+    start = Descent(
         nodes,
         jax.tree.map(jnp.zeros_like, nodes),
         lists,
+        None,
         zero + jnp.inf,
         none,
         none,
@@ -316,6 +325,8 @@ def descend_by_trust(
     )
     now = _Now(start, zero, zero + 1, nodes, zero, zero, jnp.ones((), bool))
     end = jax.lax.while_loop(
-        lambda now: unfinished(now.best) & (now.share > _SMALLEST_SHARE), iterate, now
+        lambda now: region.unfinished(now.best) & (now.share > _SMALLEST_SHARE),
+        lambda now: region.iterate(now),  # a bound method would be hashed
+        now,
     )
     return end.best

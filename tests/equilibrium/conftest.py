@@ -7,6 +7,8 @@ import pytest
 from jaxgrow.mesh.surface import Surface
 from jaxgrow.transfer.device import put_membrane, put_particles
 
+from .derivatives import changed, settled
+
 
 SLOTS = 64
 
@@ -70,3 +72,12 @@ def load():
         return jnp.zeros((256, 3)).at[vertex].set(jnp.asarray(force, float))
 
     return make
+
+
+@pytest.fixture(scope="session")
+def cage(make_particles):
+    """Particles, a third of them held."""
+    rng = np.random.default_rng(8)
+    held = np.arange(18) % 3 == 0
+    particles = make_particles(rng.uniform(0, 2.2, (18, 3)), held, held.astype(int))
+    return settled(particles, parameters=changed(tumour_stiffness=2.0))

@@ -16,6 +16,7 @@ from jaxgrow.equilibrium.relax import relax
 from jaxgrow.runtime.results import Result
 from jaxgrow.state import Nodes
 
+from ..quick_jit import quick_jit
 from .springs import springs
 
 
@@ -32,7 +33,7 @@ def product(problem, lists, vector):
     return linearise(problem, lists).product(vector)
 
 
-@eqx.filter_jit
+@quick_jit
 def hessian(problem, lists):
     """Second derivatives of the energy, all of them."""
     flat, shaped = ravel_pytree(problem.nodes())
@@ -147,8 +148,8 @@ def test_coarse_response_takes_fewer_products(scenes):
     problem, lists, _ = scenes["held"]
 
     def solved(relative):
-        compiled = eqx.filter_jit(lambda p, f: solve(linearise(p, lists), f, relative))
-        return compiled(problem, any_force(problem))
+        compiled = quick_jit(lambda *p, f: solve(linearise(*p), f, relative))
+        return compiled(problem, lists, f=any_force(problem))
 
     coarse, fine = solved(1e-3), solved(None)
     assert coarse.products < fine.products
@@ -310,9 +311,8 @@ def test_further_null_modes_are_singular(make_particles, position):
 def test_solution_that_is_not_reached_is_a_result(scenes, monkeypatch):
     problem, lists, _ = scenes["held"]
     monkeypatch.setattr(response, "MAX_PRODUCTS", 5)
-    found = eqx.filter_jit(lambda p, f: respond(linearise(p, lists), f))(
-        problem, any_force(problem)
-    )
+    respond_now = quick_jit(lambda *p, f: respond(linearise(*p), f))
+    found = respond_now(problem, lists, f=any_force(problem))
     assert Result.of(found.code) is Result.NOT_SOLVED
     assert found.products == 10
     assert found.residual > 1e-3

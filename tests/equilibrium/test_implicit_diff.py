@@ -1,4 +1,4 @@
-"""The derivative of an equilibrium: differences, unrolled iterations, and failures."""
+"""The derivative of an equilibrium: differences, and unrolled iterations."""
 
 from dataclasses import fields
 
@@ -10,70 +10,24 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from jaxgrow.energy.parameters import Parameters
-from jaxgrow.equilibrium import hessian_solve as response, implicit_diff as implicit
-from jaxgrow.equilibrium.problem import Problem
+from jaxgrow.equilibrium import implicit_diff as implicit
 from jaxgrow.equilibrium.refresh_lists import allocate_lists
 from jaxgrow.equilibrium.relax import relax
 from jaxgrow.runtime.results import Result
-from jaxgrow.state import Nodes
+from jaxgrow.state import replaced
+from jaxgrow.transfer.device import reset_springs
 
-
-def changed(**values):
-    """The default parameters but for these, as arrays."""
-    return jax.tree.map(lambda v: jnp.asarray(v, float), Parameters(**values))
-
-
-PARAMETERS = changed()
-
-
-def rest(problem, **options):
-    """Where the nodes of a problem come to rest."""
-    outcome = relax(
-        problem.particles,
-        problem.membrane,
-        parameters=problem.parameters,
-        load=problem.load,
-        **options,
-    )
-    return Problem(*outcome.state, problem.parameters).nodes()
-
-
-def settled(particles, membrane=None, parameters=PARAMETERS, load=None):
-    """A problem at its equilibrium."""
-    outcome = relax(
-        particles, membrane, parameters=parameters, tolerance=1e-12, load=load
-    )
-    assert outcome.result is Result.CONVERGED
-    return Problem(*outcome.state, parameters, load)
-
-
-def flat(nodes):
-    return np.asarray(ravel_pytree(nodes)[0])
-
-
-def still(problem):
-    """A tangent of the problem: no change of any of its floats."""
-    return jax.tree.map(jnp.zeros_like, eqx.filter(problem, eqx.is_inexact_array))
-
-
-def stepped(problem, tangent, step):
-    floats, others = eqx.partition(problem, eqx.is_inexact_array)
-    return eqx.combine(jax.tree.map(lambda a, t: a + step * t, floats, tangent), others)
-
-
-def forward(problem, tangent):
-    """The derivative of the equilibrium along a tangent."""
-    return flat(eqx.filter_jvp(rest, (problem,), (tangent,))[1])
-
-
-def backward(problem, weight):
-    """The derivative of <weight, equilibrium> in all floats of the problem."""
-
-    def weighted(problem):
-        products = jax.tree.map(lambda w, x: jnp.sum(w * x), weight, rest(problem))
-        return sum(jax.tree.leaves(products))
-
-    return eqx.filter_grad(weighted)(problem)
+from .derivatives import (
+    backward,
+    changed,
+    flat,
+    forward,
+    PARAMETERS,
+    rest,
+    settled,
+    stepped,
+    still,
+)
 
 
 def difference(problem, tangent, step):
@@ -123,10 +77,42 @@ def polyp(make_particles, make_membrane, load):
     return settled(particles, make_membrane(), parameters, load(24, [0, 0.01, -0.6]))
 
 
+OF_SHEETS = {
+    "area_modulus": 0.02,
+    "surface_tension": 0.02,
+    "healthy_stiffness": 0.1,
+    "membrane_modulus": 0.1,
+    "kirchhoff_modulus": 0.1,
+    "flowing_modulus": 0.1,
+    "membrane_poisson": 0.3,
+}
+"""Parameters of the terms that a scene has only if it asks for them."""
+
+
+@pytest.fixture(scope="module")
+def sheet(make_membrane, load):
+    """A membrane with every term, half of it healthy, under a load."""
+    membrane = make_membrane()
+    half = replaced(membrane, hyperplasia=0.5 * membrane.hyperplasia)
+    parameters = changed(bending_stiffness=0.02, **OF_SHEETS)
+    return settled(None, reset_springs(half), parameters, load(24, [0, 0.01, -0.06]))
+
+
+@pytest.mark.parametrize("name", OF_SHEETS)
+def test_derivative_in_a_parameter_of_sheets_is_that_of_differences(sheet, name):
+    tangent = eqx.tree_at(
+        lambda p: getattr(p.parameters, name), still(sheet), jnp.ones(())
+    )
+    assert check(sheet, tangent, 0.02 * OF_SHEETS[name]) > 1e-5
+
+
+WITHOUT_EFFECT = (
+    *("collision_range", "collision_stiffness", "daughter_offset", "focus_radius"),
+)
 IN_EFFECT = [
     field.name
     for field in fields(Parameters)
-    if field.name not in ("collision_range", "collision_stiffness", "daughter_offset")
+    if field.name not in (*WITHOUT_EFFECT, *OF_SHEETS)
 ]
 
 
@@ -139,9 +125,7 @@ def test_derivative_in_a_parameter_is_that_of_differences(polyp, name):
     assert check(polyp, tangent, 1e-4 * float(value)) > 1e-3
 
 
-@pytest.mark.parametrize(
-    "name", ["collision_range", "collision_stiffness", "daughter_offset"]
-)
+@pytest.mark.parametrize("name", WITHOUT_EFFECT)
 def test_derivative_in_a_parameter_without_effect_is_zero(polyp, name):
     tangent = eqx.tree_at(
         lambda p: getattr(p.parameters, name), still(polyp), jnp.ones(())
@@ -244,15 +228,6 @@ def test_derivative_in_a_parameter_of_collisions(make_membrane, load, name):
 
 
 @pytest.fixture(scope="module")
-def cage(make_particles):
-    """Particles, a third of them held."""
-    rng = np.random.default_rng(8)
-    held = np.arange(18) % 3 == 0
-    particles = make_particles(rng.uniform(0, 2.2, (18, 3)), held, held.astype(int))
-    return settled(particles, parameters=changed(tumour_stiffness=2.0))
-
-
-@pytest.fixture(scope="module")
 def trampoline(make_membrane, load):
     """A stiff membrane that a load pulls up."""
     parameters = changed(spring_stiffness=1.0)
@@ -299,118 +274,6 @@ def test_derivative_is_that_of_the_iterations(request, name, rate):
         one, other = np.asarray(pick(found)), np.asarray(pick(wanted))
         np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-8)
     assert abs(found.parameters.pretension + found.parameters.adhesion) > 1e-3
-
-
-# a free cluster
-
-
-@pytest.fixture(scope="module")
-def drop(make_particles):
-    rng = np.random.default_rng(1)
-    particles = make_particles(rng.uniform(0, 3, (27, 3)), None, np.arange(27) % 2)
-    return settled(particles, parameters=changed(tumour_stiffness=1.5))
-
-
-def radius_of_gyration(position):
-    away = position[:27] - jnp.mean(position[:27], axis=0, keepdims=True)
-    return jnp.sqrt(jnp.mean(jnp.sum(away**2, axis=1)))
-
-
-@pytest.mark.parametrize("name", ["adhesion", "tumour_stiffness"])
-def test_size_of_a_free_cluster_has_the_derivative_of_differences(drop, name):
-    def size(value):
-        varied = eqx.tree_at(lambda p: getattr(p.parameters, name), drop, value)
-        return radius_of_gyration(rest(varied, tolerance=1e-12).particles)
-
-    value = getattr(drop.parameters, name)
-    step = 3e-5 * float(value)
-    wanted = (size(value + step) - size(value - step)) / (2 * step)
-    assert abs(wanted) > 1e-3
-    assert jax.grad(size)(value) == pytest.approx(float(wanted), rel=1e-6)
-    _, found = jax.jvp(size, (value,), (jnp.ones(()),))
-    assert found == pytest.approx(float(wanted), rel=1e-6)
-
-
-def test_free_cluster_as_a_whole_stays(drop):
-    tangent = eqx.tree_at(lambda p: p.parameters.adhesion, still(drop), jnp.ones(()))
-    moved = forward(drop, tangent).reshape(-1, 3)[:27]
-    arm = np.asarray(drop.particles.position[:27])
-    assert np.abs(moved).max() > 0.1
-    np.testing.assert_allclose(moved.sum(axis=0), 0, atol=1e-10)
-    np.testing.assert_allclose(np.cross(arm, moved).sum(axis=0), 0, atol=1e-10)
-
-
-def test_centre_of_a_free_cluster_depends_on_nothing(drop):
-    weight = Nodes(jnp.zeros((64, 3)).at[:27, 0].set(1.0), None)
-    pulled = backward(drop, weight)
-    np.testing.assert_allclose(flat(pulled.parameters), 0, atol=1e-10)
-
-
-def test_single_precision_is_kept(drop):
-    narrow = jax.tree.map(
-        lambda a: a.astype(jnp.float32) if eqx.is_inexact_array(a) else a, drop
-    )
-
-    def size(value, problem):
-        varied = eqx.tree_at(lambda p: p.parameters.adhesion, problem, value)
-        return radius_of_gyration(rest(varied).particles)
-
-    wanted = jax.grad(size)(drop.parameters.adhesion, drop)
-    found = jax.grad(size)(narrow.parameters.adhesion, narrow)
-    assert found.dtype == jnp.float32
-    assert float(found) == pytest.approx(float(wanted), rel=1e-2)
-
-
-# failures
-
-
-def failing(problem, **options):
-    """Both derivatives in all floats of a problem that has none."""
-    tangent = jax.tree.map(jnp.ones_like, still(problem))
-    _, pushed = eqx.filter_jvp(lambda p: rest(p, **options), (problem,), (tangent,))
-
-    def total(problem):
-        return sum(jnp.sum(x) for x in jax.tree.leaves(rest(problem, **options)))
-
-    pulled = eqx.filter(eqx.filter_grad(total)(problem), eqx.is_inexact_array)
-    return np.concatenate([flat(pushed), flat(pulled)])
-
-
-def test_equilibrium_that_was_not_reached_has_no_derivative(cluster):
-    problem = Problem(cluster, None, PARAMETERS)
-    assert np.isnan(failing(problem, max_steps=1)).all()
-
-
-def test_equilibrium_that_was_nearly_reached_has_no_derivative(cage):
-    # its Hessian is that of a minimum, so nothing else tells
-    near = eqx.tree_at(lambda p: p.parameters.adhesion, cage, jnp.asarray(0.21))
-    assert np.isnan(failing(near, max_steps=1, method="lbfgs")).all()
-
-
-def test_compressed_column_has_no_derivative(make_particles):
-    # a push on its end, along its axis, does not show that it buckles
-    position = [[0, 0, 0], [0.85, 0, 0], [1.7, 0, 0]]
-    column = settled(make_particles(position, np.array([True, False, True])))
-    assert np.isnan(failing(column)).all()
-    end = jnp.zeros((64, 3)).at[0, 0].set(1.0)
-    tangent = eqx.tree_at(lambda p: p.particles.position, still(column), end)
-    assert np.isnan(forward(column, tangent)).all()
-    middle = Nodes(jnp.zeros((64, 3)).at[1, 0].set(1.0), None)
-    assert np.isnan(flat(backward(column, middle).parameters)).all()
-
-
-def test_cluster_in_two_parts_has_no_derivative(make_particles):
-    triangle = np.array([[0, 0, 0], [0.95, 0, 0], [0.5, 0.9, 0]])
-    parts = settled(make_particles(np.concatenate([triangle, triangle + 5])))
-    assert np.isnan(failing(parts)).all()
-
-
-def test_system_that_was_not_solved_gives_no_derivative(cage, monkeypatch):
-    monkeypatch.setattr(response, "MAX_PRODUCTS", 3)
-    for name in ("_forward", "_backward"):
-        inner = getattr(implicit, name).__wrapped__
-        monkeypatch.setattr(implicit, name, jax.jit(lambda r, v, f=inner: f(r, v)))
-    assert np.isnan(failing(cage, method="lbfgs")).all()
 
 
 # what it is made of

@@ -192,7 +192,7 @@ def test_free_cluster_does_not_drift(make_particles):
 def test_equilibrium_is_left_as_it_is(near):
     problem, outcome = polished(*near["particles"], tolerance=1e-3)
     assert Result.of(outcome.code) is Result.CONVERGED
-    assert outcome.products == 0
+    assert outcome.steps == 0
     np.testing.assert_array_equal(outcome.nodes.particles, problem.particles.position)
 
 

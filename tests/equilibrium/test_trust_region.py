@@ -58,7 +58,7 @@ def iterates(problem, products, tolerance=1e-12, lists=None):
         limits = jnp.asarray(tolerance), jnp.asarray(most), jnp.asarray(0.1)
         outcome = compiled(problem, lists, *limits)
         assert Result.of(outcome.code) in (Result.STEP_LIMIT, Result.CONVERGED)
-        assert outcome.products <= most
+        assert outcome.steps <= most
         if last is None or outcome.residual != last.residual:
             yield outcome
         last = outcome
