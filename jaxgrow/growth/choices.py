@@ -6,7 +6,7 @@ draws them from a generator and records them; `Recorded` repeats a record.
 """
 
 from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -35,12 +35,29 @@ ENLARGEMENTS = 5
 tumour near it."""
 
 
+class EnlargeOutcome(NamedTuple):
+    """Outcome of enlarging the patch.
+
+    Attributes:
+        now: state of the growth after it.
+        result: CONVERGED, or the reason why there is no valid state.
+        times: number of enlargements.
+    """
+
+    now: GrowthState
+    result: Result
+    times: int
+
+
 @runtime_checkable
 class Choices(Protocol):
     """Source of the discrete choices of a growth."""
 
     checks_boundary: bool
     """Whether the reaction on the patch's boundary is checked after a step."""
+
+    draws: bool
+    """Whether a step that failed may be made again, of other divisions."""
 
     def start(self, setup: Setup) -> InitialState:
         """Return the state that growth starts from."""
@@ -51,6 +68,10 @@ class Choices(Protocol):
 
         CONVERGED if there is none, and the growth continues.
         """
+        ...
+
+    def foci(self, setup: Setup, now: GrowthState) -> tuple[int, ...]:
+        """Return the vertices at which foci of hyperplasia begin; mostly none."""
         ...
 
     def divisions(
@@ -74,7 +95,7 @@ class Choices(Protocol):
         check: BoundaryCheck | None,
         history: Sequence[StepRecord],
         clock: Clock,
-    ) -> tuple[GrowthState, Result, int] | None:
+    ) -> EnlargeOutcome | None:
         """Enlarge the patch after a step, or after the start.
 
         Args:
@@ -85,8 +106,7 @@ class Choices(Protocol):
             clock: counts the seconds.
 
         Returns:
-            The state, CONVERGED or the reason why there is no valid state, and the
-            number of enlargements; None if the patch is not enlarged.
+            The outcome; None if the patch is not enlarged.
         """
         ...
 
@@ -115,6 +135,7 @@ class Drawn:
     """
 
     checks_boundary = True
+    draws = True
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.rng = rng
@@ -140,6 +161,10 @@ class Drawn:
     def stop(self, setup: Setup, stopping: Stopping) -> Result:
         """Return whether the size, a bound or a full cavity ends the growth."""
         return stop_reason(setup.lesion, stopping)
+
+    def foci(self, setup: Setup, now: GrowthState) -> tuple[int, ...]:
+        """Choose foci by the lesion's rule."""
+        return setup.lesion.next_foci(now.state, now.stage, setup.parameters)
 
     def divisions(
         self, setup: Setup, now: GrowthState, count: int
@@ -168,14 +193,14 @@ class Drawn:
         check: BoundaryCheck | None,
         history: Sequence[StepRecord],
         clock: Clock,
-    ) -> tuple[GrowthState, Result, int] | None:
+    ) -> EnlargeOutcome | None:
         """Enlarge the patch where the lesion acts on its boundary."""
         place = self._tight_place(setup, now, check, history)
         if place is None:
             return None
         wider = enlarge_patch(setup, now, place, self.rng, clock)
         if isinstance(wider, Result):
-            return now, wider, 0
+            return EnlargeOutcome(now, wider, 0)
         after, record = wider
         if self._steps:
             *before, last = self._steps
@@ -184,7 +209,7 @@ class Drawn:
         else:
             more = (*self._start.enlargements, record)
             self._start = self._start._replace(enlargements=more)
-        return after, Result.CONVERGED, 1
+        return EnlargeOutcome(after, Result.CONVERGED, 1)
 
     @staticmethod
     def _tight_place(
@@ -232,6 +257,7 @@ class Recorded:
     """
 
     checks_boundary = False
+    draws = False
 
     def __init__(self, events: Events) -> None:
         self._events = events
@@ -249,6 +275,10 @@ class Recorded:
         if self._next < len(self._events):
             return Result.CONVERGED
         return self._events.result
+
+    def foci(self, setup: Setup, now: GrowthState) -> tuple[int, ...]:
+        """Return the foci of the next event."""
+        return self._events.steps[self._next].foci
 
     def divisions(
         self, setup: Setup, now: GrowthState, count: int
@@ -276,17 +306,17 @@ class Recorded:
         check: BoundaryCheck | None,
         history: Sequence[StepRecord],
         clock: Clock,
-    ) -> tuple[GrowthState, Result, int] | None:
+    ) -> EnlargeOutcome | None:
         """Repeat the recorded enlargements."""
         last = self._last if self._next else self._events.start
         for record in last.enlargements:
             again = enlarge_again(setup, now, record, clock)
             if again.result is not Result.CONVERGED:
-                return now, again.result, len(last.enlargements)
+                return EnlargeOutcome(now, again.result, len(last.enlargements))
             now = again.now
         if not last.enlargements:
             return None
-        return now, Result.CONVERGED, len(last.enlargements)
+        return EnlargeOutcome(now, Result.CONVERGED, len(last.enlargements))
 
     def keep(self, event: Event) -> None:
         """Keep nothing, as the event is in the record."""

@@ -63,11 +63,13 @@ class Event(NamedTuple):
         divisions: particles and directions; one, or as many as the scene asks for.
         equilibrium: after them, with the fairing.
         enlargements: of the patch after it, mostly none.
+        foci: vertices at which foci of hyperplasia begin before it, mostly none.
     """
 
     divisions: tuple[Division, ...]
     equilibrium: EquilibriumRecord
     enlargements: tuple[PatchEnlargement, ...] = ()
+    foci: tuple[int, ...] = ()
 
     @property
     def redirected(self) -> bool:
@@ -103,7 +105,7 @@ class Events(Sequence[Event]):
     Attributes:
         start: the initial state.
         steps: the events.
-        parameters: of the growth, as numbers.
+        parameters: of the growth, as numbers, in r0 (`Lesion.unit_mm` in a scene).
         tolerance: of its equilibria, in F(0).
         lesion: kind of the lesion.
         particle_mm: r0 in mm.

@@ -6,9 +6,9 @@ from dataclasses import fields, replace
 import jax.numpy as jnp
 import numpy as np
 
-from jaxgrow.energy.parameters import as_arrays, Parameters
+from jaxgrow.energy.parameters import as_arrays, at_resolution, Parameters
+from jaxgrow.equilibrium.extra_terms import ExtraTerms
 from jaxgrow.equilibrium.methods import exact_tolerance
-from jaxgrow.equilibrium.problem import ExtraTerms
 from jaxgrow.equilibrium.transformations import (
     check_transformations,
     is_differentiated,
@@ -50,7 +50,8 @@ def grow(
     springs get their current length as new rest length.
 
     Recovery from failures: an equilibrium that is not found, or that ejected particles,
-    is tried again from its start with shorter steps; lists that overflow are enlarged;
+    is tried again from its start with shorter steps, and then its step with fewer or
+    other divisions, three times at most; lists that overflow are enlarged;
     a fairing that fails the exact check is omitted; sheets that approach each other
     begin to repel; a patch with a reaction on its boundary is enlarged.
     `Growth.mended` counts these. After any other failure the growth ends, and its
@@ -74,7 +75,7 @@ def grow(
     that of the trend at all but 0 to 11 % of the values for one seed, and for the mean
     of 4 at all that have 4. So use its direction, averaged over seeds, and determine
     the length of a step from newly grown lesions, as `jaxgrow.fit` does. Figures are
-    those of ``experiments/gradient_quality.py sweep``.
+    those of ``experiments/studies/gradient_quality.py sweep``.
 
     Args:
         scene: organ, lesion and parameters; may be left out with `after`.
@@ -172,6 +173,10 @@ class GrowthInterrupted(KeyboardInterrupt):
         super().__init__(f"interrupted; its growth is {growth!r}.")
         self.growth = growth
 
+    def __reduce__(self) -> tuple[type["GrowthInterrupted"], tuple[Growth]]:
+        # by default an exception is made again from its message
+        return type(self), (self.growth,)
+
 
 def _setup(
     scene: Scene | None,
@@ -183,7 +188,9 @@ def _setup(
     """Make the setup of a growth, common to all its steps."""
     if scene is None:
         raise ValueError("nothing to grow: give a scene, or after= a growth.")
-    arrays = as_arrays(_parameters(scene, parameters), jnp.float64)
+    given, lesion = _parameters(scene, parameters), scene.lesion
+    given = at_resolution(given, lesion.unit_mm / lesion.r0_mm)
+    arrays = as_arrays(given, jnp.float64)
     check_transformations(arrays)
     if events is None:
         tolerance = 1e-3 if tolerance is None else tolerance

@@ -20,6 +20,8 @@ class StepRecord:
         division: number of its last division.
         size_mm: largest diameter of the lesion after it; the only field with a
             derivative.
+        share: share of the request that is reached: of the size, or of the number of
+            divisions.
         residual: largest force left, in F(0).
         steps: of the relaxation.
         method: last method of the relaxation.
@@ -39,6 +41,7 @@ class StepRecord:
 
     division: int
     size_mm: Scalar
+    share: float
     residual: float
     steps: int
     method: str
@@ -68,6 +71,7 @@ def make_record(
     *,
     division: int,
     size_mm: Scalar,
+    share: float,
     result: str,
     mended: dict[str, int],
     seconds: dict[str, float],
@@ -80,6 +84,7 @@ def make_record(
         check: of the patch's boundary; None if it was not checked.
         division: number of its last division.
         size_mm: of the lesion after it.
+        share: of the request that is reached.
         result: name of the `Result`.
         mended: recoveries besides those in `settled`.
         seconds: by phase.
@@ -99,6 +104,7 @@ def make_record(
     return StepRecord(
         division=division,
         size_mm=size_mm,
+        share=share,
         residual=stats.residual,
         steps=stats.steps,
         method=stats.method,

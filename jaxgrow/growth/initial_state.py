@@ -17,22 +17,23 @@ from jaxgrow.organ import (
     line_patch,
     load_organ,
     locate_site,
+    make_organ,
     Organ,
+    ORGANS,
     Site,
-    uterus,
     walls_around,
 )
 from jaxgrow.organ.tissue import HOLD
 from jaxgrow.scene.scene import Scene
 from jaxgrow.state import FormerSurface, Frame, Species, State
 from jaxgrow.transfer.device import (
+    as_reference,
     get_number,
     Positions,
     put,
     put_membrane,
     put_particles,
     put_positions,
-    reset_springs,
 )
 
 
@@ -74,8 +75,8 @@ def find_organ(scene: Scene) -> Organ | None:
     """Make or read the scene's organ."""
     if scene.organ is None or isinstance(scene.organ, Organ):
         return scene.organ
-    if scene.organ == "uterus":
-        return uterus()
+    if isinstance(scene.organ, str) and scene.organ in ORGANS:
+        return make_organ(scene.organ)
     path = Path(scene.organ)
     return load_organ(path, unit_mm=scene.unit_mm, tissue=scene.tissue)
 
@@ -98,6 +99,7 @@ def make_initial_state(setup: Setup, rng: np.random.Generator) -> InitialState:
     if organ is None:
         return make_free_cluster(scene)
     site = locate_site(organ, scene.lesion.site)
+    scene.lesion.check_site(organ, site)
     gap = get_number(setup.parameters.contact_range)
     layout = build_layout(scene, organ, site, gap, rng)
     start = relax_layout(setup, layout)
@@ -199,5 +201,5 @@ def relax_layout(
         jnp.asarray(scene.r0_mm),
         former,
     )
-    state = State(particles, reset_springs(membrane), frame)
+    state = State(particles, as_reference(membrane), frame)
     return InitialState(state, layout, outcome, boundary_reaction(outcome))

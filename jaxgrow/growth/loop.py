@@ -7,13 +7,21 @@ from jaxgrow.growth.choices import Choices
 from jaxgrow.growth.history import make_record, StepRecord
 from jaxgrow.growth.progress import make_progress, Progress
 from jaxgrow.growth.setup import GrowthState, Setup
-from jaxgrow.growth.step import grow_step
+from jaxgrow.growth.step import grow_step, StepResult
 from jaxgrow.growth.stopping import GrowthLimits, Stopping
 from jaxgrow.runtime.compilations import forget_now_and_then
 from jaxgrow.runtime.results import Result
 from jaxgrow.runtime.timer import Clock
 from jaxgrow.runtime.types import Scalar
 
+
+REDRAWS = 3
+"""Largest number of times that a step without a valid equilibrium is made again."""
+
+REDRAWN = frozenset(
+    {Result.STEP_LIMIT, Result.NON_FINITE, Result.EVAPORATED, Result.INTERSECTION}
+)
+"""Results of a step after which it is made again, of fewer or of other divisions."""
 
 Watch = Callable[[Progress], object]
 """Called after every step; True ends the growth."""
@@ -72,12 +80,13 @@ def run_loop(
         watch: called after every step; it may end the growth.
     """
     size = measure(setup, reached.now, clock)
+    share = setup.lesion.share_reached(reached.now.state, size, reached.divisions)
     choices.mark()
     try:
         while reached.result is Result.CONVERGED:
             forget_now_and_then(len(reached.history))
             made = (reached.divisions, reached.history)
-            stopping = Stopping(size, *made, bounds, clock.elapsed)
+            stopping = Stopping(share, *made, bounds, clock.elapsed)
             result = choices.stop(setup, stopping)
             if result is not Result.CONVERGED:
                 return replace(reached, result=result)
@@ -86,7 +95,7 @@ def run_loop(
             reached = after
             if record is None:
                 return reached
-            size = record.size_mm
+            share = record.share
             if watch is not None:
                 told = make_progress(setup.scene, reached.now.state, record, clock)
                 if watch(told) is True and reached.result is Result.CONVERGED:
@@ -104,8 +113,10 @@ def _next(
     lesion, history = setup.lesion, reached.history
     left = min(lesion.divisions or bounds.divisions, bounds.divisions)
     count = min(lesion.divisions_per_step, left - reached.divisions)
-    step = grow_step(setup, reached.now, choices, clock, count)
+    step, redrawn = _make_step(setup, reached, choices, clock, count, bounds)
     now, result, mended = step.now, step.result, dict[str, int]()
+    if redrawn:
+        mended["step_redrawn"] = redrawn
     if step.event is None or step.settled is None:
         return replace(reached, result=result), None
     number = reached.divisions + len(step.event.divisions)
@@ -128,11 +139,36 @@ def _next(
         step.check,
         division=number,
         size_mm=size,
+        share=lesion.share_reached(now.state, size, kept),
         result=step.result.name,
         mended=mended,
         seconds=clock.lap(),
     )
     return Reached(now, result, (*history, record), kept), record
+
+
+def _make_step(
+    setup: Setup,
+    reached: Reached,
+    choices: Choices,
+    clock: Clock,
+    count: int,
+    bounds: GrowthLimits,
+) -> tuple[StepResult, int]:
+    """Make a step; after a failure again, with half as many divisions.
+
+    Returns:
+        The step, and how often it was made again.
+    """
+    step, redrawn = grow_step(setup, reached.now, choices, clock, count), 0
+    while choices.draws and step.result in REDRAWN and redrawn < REDRAWS:
+        if bounds.seconds is not None and clock.elapsed > bounds.seconds:
+            break
+        if choices.after_failure(step.result, reached.history) is not step.result:
+            break  # the cavity is full
+        count, redrawn = max(1, count // 2), redrawn + 1
+        step = grow_step(setup, reached.now, choices, clock, count)
+    return step, redrawn
 
 
 def measure(setup: Setup, now: GrowthState, clock: Clock) -> Scalar:

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from typing import NamedTuple
 
-import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -18,7 +18,14 @@ from jaxgrow.organ.tissue import HOLD
 from jaxgrow.runtime.results import Result
 from jaxgrow.runtime.timer import Clock
 from jaxgrow.scene.scene import Surroundings
-from jaxgrow.state import FormerSurface, Frame, Particles, Species, State
+from jaxgrow.state import (
+    FormerSurface,
+    Frame,
+    Particles,
+    replaced,
+    Species,
+    State,
+)
 from jaxgrow.transfer.device import (
     get,
     get_number,
@@ -205,9 +212,15 @@ def put_enlarged(state: State, enlargement: Enlargement) -> State:
     """
     assert state.membrane is not None
     count = int(get(state.membrane.vertex_alive).sum())
-    membrane = put_membrane(enlargement.lining.surface)
-    vertices = membrane.vertices.at[:count].set(state.membrane.vertices[:count])
-    membrane = eqx.tree_at(lambda m: m.vertices, membrane, vertices)
+    before, new = state.membrane, put_membrane(enlargement.lining.surface)
+    everywhere = jnp.all(before.hyperplasia == 1)  # or in a focus only
+    marks = jnp.where(everywhere, new.hyperplasia, 0)
+    membrane = replaced(
+        new,
+        vertices=new.vertices.at[:count].set(before.vertices[:count]),
+        reference=new.reference.at[:count].set(before.reference[:count]),
+        hyperplasia=marks.at[:count].set(before.hyperplasia[:count]),
+    )
     patch = enlargement.patch
     former = FormerSurface(put(patch.vertices), put(patch.faces))
     frame = state.frame

@@ -17,6 +17,7 @@ class Progress(NamedTuple):
         size_mm: largest diameter of the lesion now, without a derivative.
         target_mm: size asked for, or None.
         target_divisions: divisions asked for, or None.
+        share: share of the request that is reached.
         residual: largest force left by the last relaxation, in F(0).
         seconds: since the start.
         state: the last equilibrium, springs reset; lengths in r0.
@@ -26,6 +27,7 @@ class Progress(NamedTuple):
     size_mm: float
     target_mm: float | None
     target_divisions: int | None
+    share: float
     residual: float
     seconds: float
     state: State | None = None
@@ -47,6 +49,7 @@ def make_progress(
         size_mm=get_number(record.size_mm),
         target_mm=scene.lesion.target_mm,
         target_divisions=scene.lesion.divisions,
+        share=record.share,
         residual=record.residual,
         seconds=clock.elapsed,
         state=state,

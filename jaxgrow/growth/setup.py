@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Int
 
 from jaxgrow.energy.parameters import Parameters
+from jaxgrow.equilibrium.extra_terms import ExtraTerms
 from jaxgrow.equilibrium.lists import Lists
-from jaxgrow.equilibrium.problem import ExtraTerms
 from jaxgrow.growth.boundary import BoundaryReaction
 from jaxgrow.growth.ground import Ground
 from jaxgrow.lesions.lesion import Lesion
@@ -58,6 +58,7 @@ class GrowthState:
         colliding: whether sheets of the surface have approached each other.
         border: boundary of the patch before growth; None for a free cluster.
         least_quality: least radius ratio that a triangle may have.
+        stage: how often foci of hyperplasia were placed.
     """
 
     state: State
@@ -67,6 +68,7 @@ class GrowthState:
     colliding: bool = False
     border: BoundaryReaction | None = None
     least_quality: float = LEAST_QUALITY
+    stage: int = 0
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what goes to another process: lists are made again there."""

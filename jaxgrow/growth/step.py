@@ -58,12 +58,17 @@ def grow_step(
             divide, or no room for so many.
     """
     with clock.phase("divide"):
+        foci = choices.foci(setup, now)
+        if foci:
+            given = now.state, foci, now.stage, setup.parameters
+            marked = setup.lesion.place_foci(*given)
+            now = replace(now, state=marked, stage=now.stage + 1)
         divisions = choices.divisions(setup, now, count)
         if divisions is None:
             return StepResult(now, Result.ON_MEMBRANE)
         divided = divide(setup.lesion, now.state, divisions, setup.parameters)
     settled = choices.settle(setup, replace(now, state=divided), clock)
-    event = Event(divisions, settled.record)
+    event = Event(divisions, settled.record, foci=foci)
     result, check = settled.result, None
     if result is Result.CONVERGED and choices.checks_boundary and now.border:
         check = check_boundary(setup, now, settled)

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from jaxgrow.growth.history import StepRecord
 from jaxgrow.lesions.lesion import Lesion
 from jaxgrow.runtime.results import Result
-from jaxgrow.runtime.types import Scalar
-from jaxgrow.transfer.device import get_number
 
 
 STAGNATION = 60
@@ -37,14 +35,14 @@ class Stopping:
     """Quantities that the stopping criteria use.
 
     Attributes:
-        size_mm: largest diameter of the lesion now.
+        share: share of the request that is reached.
         divisions: number made so far.
         history: of the steps so far.
         bounds: of divisions and time.
         seconds: since the start.
     """
 
-    size_mm: Scalar
+    share: float
     divisions: int
     history: Sequence[StepRecord]
     bounds: GrowthLimits
@@ -53,16 +51,13 @@ class Stopping:
 
 def stop_reason(lesion: Lesion, now: Stopping) -> Result:
     """Return the stopping criterion that is met; CONVERGED if there is none."""
-    target, bounds = lesion.target_mm, now.bounds
-    if target is None:
-        if now.divisions >= (lesion.divisions or 0):
-            return Result.REACHED
-    elif now.size_mm >= target:
+    bounds = now.bounds
+    if now.share >= 1:
         return Result.REACHED
     if now.divisions >= bounds.divisions:
         return Result.DIVISION_LIMIT
     window = max(STAGNATION, now.divisions // 4)
-    if target is not None and stagnates(now.history, window):
+    if lesion.target_mm is not None and stagnates(now.history, window):
         return Result.CAVITY_FULL
     if bounds.seconds is not None and now.seconds > bounds.seconds:
         return Result.TIME_LIMIT
@@ -72,9 +67,9 @@ def stop_reason(lesion: Lesion, now: Stopping) -> Result:
 def stagnates(history: Sequence[StepRecord], window: int) -> bool:
     """Return whether growth stagnates against a wall.
 
-    It does if all recent steps had collisions and the diameter rose by a factor of
-    `ENLARGING` at most. A quarter more particles enlarge a free lesion by 7 % in
-    diameter at least.
+    It does if all recent steps had collisions and the share of the request that is
+    reached rose by a factor of `ENLARGING` at most. A quarter more particles enlarge a
+    free lesion by 7 % in diameter at least.
 
     Args:
         history: of the steps so far.
@@ -85,8 +80,6 @@ def stagnates(history: Sequence[StepRecord], window: int) -> bool:
     if not before:
         return False
     recent = history[len(before) :]
-    old, new = (
-        max(get_number(record.size_mm) for record in some) for some in (before, recent)
-    )
+    old, new = (max(record.share for record in some) for some in (before, recent))
     stuck = new <= ENLARGING * old
     return stuck and all(record.colliding for record in recent)

@@ -2,7 +2,7 @@
 
 ipctk, which only returns whether any triangles intersect, takes 1.0 to 1.3 times as
 long; of 302 pairs of triangles that meet it misses 6 that touch, and it reports that
-292 of 608 segments meet triangles that they miss (experiments/libraries.py).
+292 of 608 segments meet triangles that they miss (experiments/benchmarks/libraries.py).
 """
 
 import math

@@ -3,7 +3,7 @@
 `jaxgrow.mesh.proximity.Proximity` uses it. libigl takes 1.1 to 1.4 times as long for
 closest points (0.8 where 81 920 faces are sorted first), 1.2 to 2.1 times for the
 weights of corners there, and is wrong for 12 of 500 points around triangles of zero
-area (experiments/libraries.py).
+area (experiments/benchmarks/libraries.py).
 """
 
 from typing import no_type_check

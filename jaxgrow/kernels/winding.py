@@ -2,7 +2,7 @@
 
 libigl takes 1.5 to 6 times as long for 100 to 1 000 points (half as long for 2 000 and
 81 920 faces), and of 802 points on a surface it reports 324 as inside or outside, where
-this loop reports none (experiments/libraries.py).
+this loop reports none (experiments/benchmarks/libraries.py).
 """
 
 import math

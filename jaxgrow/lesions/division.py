@@ -19,9 +19,10 @@ class Division(NamedTuple):
     Attributes:
         slot: of the new particle.
         parent: slot of the dividing particle of a myoma; -1 for a polyp, whose parent
-            is the source vertex.
+            is a vertex.
         depth: of a polyp's new particle under the source, in daughter offsets: 1, and
             2, 3, … for further ones of the same step.
+        source: vertex that emits a polyp's particle; -1 for a myoma.
         offset: of a myoma's new particle from the former position of its parent, in r0;
             of a polyp's from the source vertex, if the rule would leave the tissue.
     """
@@ -29,6 +30,7 @@ class Division(NamedTuple):
     slot: int
     parent: int = -1
     depth: int = 1
+    source: int = -1
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 

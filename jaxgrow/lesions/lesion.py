@@ -14,10 +14,11 @@ from jaxtyping import Int
 from jaxgrow.energy.parameters import Parameters
 from jaxgrow.lesions.division import Division
 from jaxgrow.mesh.surface import Surface
-from jaxgrow.organ import Site, Tissue
+from jaxgrow.organ import Organ, Site, Tissue
 from jaxgrow.runtime.entries import Model, Positive
 from jaxgrow.runtime.types import Scalar
 from jaxgrow.state import State
+from jaxgrow.transfer.device import get_number
 
 
 SITE_DEFAULT = "fundus"
@@ -79,11 +80,27 @@ class Lesion(Model):
         return 10.0 if self.size_mm is None else self.size_mm
 
     @property
+    def unit_mm(self) -> float:
+        """Unit of length of the scene's parameters, in mm: r0 by default.
+
+        A fraction of the size (`particles_across`); r0 if no size is asked for.
+        """
+        if self.target_mm is not None:
+            return self.target_mm / self.particles_across
+        return 1.0 if self.particle_mm is None else self.particle_mm
+
+    @property
     def r0_mm(self) -> float:
         """Length of r0 in mm."""
-        if self.particle_mm is not None:
-            return self.particle_mm
-        return 1.0 if self.target_mm is None else self.target_mm / self.particles_across
+        return self.unit_mm if self.particle_mm is None else self.particle_mm
+
+    def defaults(self) -> dict[str, float]:
+        """Return the default parameters of this lesion, in `unit_mm`."""
+        return dict(self.mechanics)
+
+    def requested(self) -> dict[str, float]:
+        """Return the parameters that the request determines, in `unit_mm`."""
+        return {}
 
     @property
     def across(self) -> float:
@@ -112,6 +129,29 @@ class Lesion(Model):
             particles.
         """
 
+    def share_reached(self, state: State, size_mm: Scalar, divisions: int) -> float:
+        """Return the share of the request that is reached; 1 ends the growth.
+
+        Args:
+            state: of the lesion.
+            size_mm: its size.
+            divisions: number made so far.
+        """
+        if self.target_mm is None:
+            return divisions / (self.divisions or 1)
+        return get_number(size_mm) / self.target_mm
+
+    def check_site(self, organ: Organ, site: Site) -> None:
+        """Refuse a site that has no room for a lesion of the requested size.
+
+        Args:
+            organ: before growth.
+            site: on it.
+
+        Raises:
+            OrganError: with the reason, and the size for which there is room.
+        """
+
     def check_start(self, state: State, density: float) -> None:
         """Refuse an initial state in which the lesion could not be measured.
 
@@ -131,6 +171,36 @@ class Lesion(Model):
             parameters: of the mechanics.
         """
         return self.divisions_per_step
+
+    def next_foci(
+        self, state: State, stage: int, parameters: Parameters
+    ) -> tuple[int, ...]:
+        """Choose the vertices at which foci of hyperplasia begin before this step.
+
+        Args:
+            state: an equilibrium.
+            stage: how often foci were placed before.
+            parameters: of the mechanics.
+
+        Returns:
+            The centres; none if nothing changes.
+        """
+        return ()
+
+    def place_foci(
+        self, state: State, centres: tuple[int, ...], stage: int, parameters: Parameters
+    ) -> State:
+        """Mark foci of hyperplasia, as chosen.
+
+        The result is differentiable in state and parameters.
+
+        Args:
+            state: an equilibrium.
+            centres: from `next_foci`.
+            stage: how often foci were placed before.
+            parameters: of the mechanics.
+        """
+        return state
 
     @abstractmethod
     def choose(

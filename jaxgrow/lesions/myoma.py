@@ -1,5 +1,6 @@
 """Myoma: a ball under the surface; any particle may divide (paper §4)."""
 
+import math
 from typing import ClassVar, Literal
 
 import jax
@@ -18,7 +19,7 @@ from jaxgrow.lesions.lesion import Lesion
 from jaxgrow.lesions.size import diameter_of
 from jaxgrow.mesh.proximity import nearest_on_mesh
 from jaxgrow.mesh.surface import Surface
-from jaxgrow.organ import Site, Tissue
+from jaxgrow.organ import Organ, OrganError, room, Site, Tissue
 from jaxgrow.runtime.entries import Positive
 from jaxgrow.runtime.types import Scalar
 from jaxgrow.state import Particles, Species, State
@@ -27,6 +28,17 @@ from jaxgrow.transfer.device import get, get_surface
 
 HALF_DISTANCE = 0.5
 """Distance, in r0, by which each half of a dividing myoma particle moves."""
+
+
+DEPTH = 0.25
+"""Default depth of the first particle under the surface, as a share of the size."""
+
+PROTRUDING = 0.5
+"""Height of a myoma in a narrow canal, as a share of its diameter: 0.50 and 0.45 from
+depths of a quarter and a half of it. On a wide wall it is a third."""
+
+STAND_OFF = 0.7
+"""Distance, in r0, of its surface from its particles."""
 
 
 class Myoma(Lesion):
@@ -42,7 +54,10 @@ class Myoma(Lesion):
     kind: Literal["myoma"] = "myoma"
     depth_mm: Positive | None = None
 
-    mechanics: ClassVar[dict[str, float]] = {"tumour_stiffness": 3.0}
+    mechanics: ClassVar[dict[str, float]] = {
+        "tumour_stiffness": 3.0,
+        "area_modulus": 0.02,
+    }
     particles_across: ClassVar[float] = 7.0
     needs_organ: ClassVar[bool] = False
 
@@ -51,7 +66,7 @@ class Myoma(Lesion):
         """Depth of its first particle under the surface, in r0."""
         if self.depth_mm is not None:
             return self.depth_mm / self.r0_mm
-        return 2.0 if self.target_mm is None else 0.25 * self.target_mm / self.r0_mm
+        return 2.0 if self.target_mm is None else DEPTH * self.target_mm / self.r0_mm
 
     def extent(self) -> tuple[float, float]:
         """Return radius and thickness of a patch that holds the ball, in r0.
@@ -59,6 +74,31 @@ class Myoma(Lesion):
         As it displaces tissue, two particles are added to its radius on every side.
         """
         return self.across / 2 + 2.5, self.depth + self.across / 2 + 2.0
+
+    def check_site(self, organ: Organ, site: Site) -> None:
+        """Refuse a myoma whose protruding part does not fit into the lumen.
+
+        It protrudes by some half of its diameter, from whatever depth, and the surface
+        keeps off its particles. A lumen that is too narrow for that is closed, and the
+        surface crushed.
+
+        Raises:
+            OrganError: there is less room along the normal at the site.
+        """
+        if self.target_mm is None:
+            return
+        wide, needed = room(organ, site), PROTRUDING * self.target_mm
+        if needed + STAND_OFF * self.r0_mm <= wide:
+            return
+        if self.particle_mm is None:
+            most = wide / (PROTRUDING + STAND_OFF / self.particles_across)
+        else:
+            most = (wide - STAND_OFF * self.r0_mm) / PROTRUDING
+        raise OrganError(
+            f"a myoma of {self.target_mm:g} mm protrudes by some {needed:.1f} mm, and "
+            f"at {site.name} of {organ.name} the opposite wall is {wide:.1f} mm away; "
+            f"ask for {math.floor(10 * most) / 10:g} mm or less, or for another site."
+        )
 
     def seed(
         self, surface: Surface, tissue: Tissue, site: Site

@@ -5,15 +5,13 @@ from contextlib import suppress
 import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree, QhullError
 from scipy.spatial.distance import pdist
 
 from jaxgrow.equilibrium.transformations import is_differentiated
 from jaxgrow.mesh.proximity import nearest_on_mesh
 from jaxgrow.mesh.quality import area_vectors
-from jaxgrow.mesh.topology import build_topology
+from jaxgrow.mesh.topology import connected_parts
 from jaxgrow.numerics.guards import safe_norm
 from jaxgrow.runtime.types import Scalar
 from jaxgrow.state import Species, State
@@ -51,19 +49,31 @@ def raised(state: State) -> Bool[np.ndarray, " m"]:
     may raise its surface as well.
     """
     assert state.membrane is not None
-    assert state.frame.former is not None
-    surface, former = get_surface(state.membrane), state.frame.former
-    height = height_above(surface.vertices, get(former.vertices), get(former.faces))
-    high = height > RAISED
-    edges = build_topology(surface.faces, len(high)).edges
-    first, second = edges[high[edges].all(axis=1)].T
-    graph = coo_array(
-        (np.ones(len(first)), (first, second)), shape=(len(high), len(high))
-    )
-    _, component = connected_components(graph, directed=False)
+    surface = get_surface(state.membrane)
+    high = heights(state) > RAISED
+    component = connected_parts(surface.faces, high)
     near = _to_tumour(state, surface.vertices) < BELONGING
     mine = np.isin(component, component[high & near])
     return high & mine
+
+
+def height_of(state: State) -> float:
+    """Compute the largest height of the lesion over the former surface, in r0.
+
+    It is 0 where nothing is raised.
+    """
+    mine = raised(state)
+    if not mine.any():
+        return 0.0
+    return float(heights(state)[mine].max())
+
+
+def heights(state: State) -> Float[np.ndarray, " m"]:
+    """Compute the heights of vertices alive over the former surface, in r0."""
+    assert state.membrane is not None
+    assert state.frame.former is not None
+    points, former = get_surface(state.membrane).vertices, state.frame.former
+    return height_above(points, get(former.vertices), get(former.faces))
 
 
 def _to_tumour(

@@ -115,16 +115,9 @@ def split_edges(
     parents = np.concatenate([own, topology.edges[marked]])
     vertices = average_parents(surface.vertices, parents)
 
-    corners, new = surface.faces, middle[topology.face_edges]
+    new = middle[topology.face_edges]
     count = (new >= 0).sum(axis=1)
-    faces = np.concatenate(
-        [
-            corners[count == 0],
-            _quaternary(corners[count == 3], new[count == 3]),
-            _a_shape(vertices, *_turn(corners, new, count == 2, lead=False)),
-            _t_shape(*_turn(corners, new, count == 1, lead=True)),
-        ]
-    )
+    faces = split_faces(vertices, surface.faces, new)
     fixed = np.concatenate(
         [surface.fixed, np.zeros(len(parents) - n_vertices, dtype=bool)]
     )
@@ -135,6 +128,33 @@ def split_edges(
     }
     result = Surface(vertices, faces, fixed, surface.source)
     return result, Remeshing((parents,), faces, fixed, surface.source, counts)
+
+
+def split_faces(
+    vertices: Float[np.ndarray, "m 3"],
+    corners: Int[np.ndarray, "f 3"],
+    new: Int[np.ndarray, "f 3"],
+) -> Int[np.ndarray, "_ 3"]:
+    """Split each face at the new vertices on its sides.
+
+    Args:
+        vertices: Positions, of the new vertices too.
+        corners: The faces.
+        new: The new vertex on the side from corner k to corner k + 1, -1 for none.
+
+    Returns:
+        First the faces without a new vertex, as they are; then those with three
+        (quaternary), with two (A-shape) and with one (T-shape).
+    """
+    count = (new >= 0).sum(axis=1)
+    return np.concatenate(
+        [
+            corners[count == 0],
+            _quaternary(corners[count == 3], new[count == 3]),
+            _a_shape(vertices, *_turn(corners, new, count == 2, lead=False)),
+            _t_shape(*_turn(corners, new, count == 1, lead=True)),
+        ]
+    )
 
 
 def _turn(

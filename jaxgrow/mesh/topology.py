@@ -116,11 +116,7 @@ def component_labels(
     faces: Int[np.ndarray, "f 3"], n_vertices: int
 ) -> Int[np.ndarray, " f"]:
     """Label each face by its connected component, joined by shared vertices."""
-    tail, head = faces.ravel(), faces[:, [1, 2, 0]].ravel()
-    links = coo_array(
-        (np.ones(len(tail), dtype=bool), (tail, head)), shape=(n_vertices, n_vertices)
-    )
-    _, label = connected_components(links, directed=False)
+    label = connected_parts(faces, np.ones(n_vertices, dtype=bool))
     return np.unique(label[faces[:, 0]], return_inverse=True)[1]
 
 
@@ -236,3 +232,19 @@ def greedy_independent(
         live = open_[operation]
         operation, touched = operation[live], touched[live]
     return chosen
+
+
+def connected_parts(
+    faces: Int[np.ndarray, "f 3"], chosen: Bool[np.ndarray, " m"]
+) -> Int[np.ndarray, " m"]:
+    """Label the connected parts of the chosen vertices.
+
+    Every other vertex is a part of its own.
+    """
+    tail, head = faces.ravel(), faces[:, [1, 2, 0]].ravel()
+    kept = chosen[tail] & chosen[head]
+    links = coo_array(
+        (np.ones(int(kept.sum())), (tail[kept], head[kept])), shape=(len(chosen),) * 2
+    )
+    _, part = connected_components(links, directed=False)
+    return part

@@ -19,6 +19,11 @@ from jaxgrow.organ.patch_surface import (
     line_patch as line_patch,
     Lining as Lining,
 )
+from jaxgrow.organ.registry import (
+    make_organ as make_organ,
+    ORGANS as ORGANS,
+    register_organ as register_organ,
+)
 from jaxgrow.organ.tissue import fill_tissue as fill_tissue, Tissue as Tissue
 from jaxgrow.organ.uterus import uterus as uterus
 from jaxgrow.organ.validity import OrganError as OrganError

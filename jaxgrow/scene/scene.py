@@ -1,38 +1,37 @@
 """Scene of a growth: organ, lesion and parameters, read and validated.
 
-Lengths of a scene are in millimetres, except in `Surroundings` and `Parameters`, where
-they are in r0, the diameter of a particle.
+Lengths of a scene are in millimetres, except in `Surroundings`, where they are in r0,
+the diameter of a particle, and in `Parameters`, where they are in `Lesion.unit_mm`, a
+fraction of the lesion's size, which is r0 by default. So the size of the particles is a
+resolution: the material is the same for all.
 """
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, get_args, Literal, TYPE_CHECKING, TypeAlias, Union
+from typing import Any, get_args, Literal
 
 import pydantic
+from pydantic_core import InitErrorDetails, PydanticCustomError, ValidationError
 
-from jaxgrow.energy.parameters import Parameters
+from jaxgrow.energy.parameters import Parameters, PRINTED
 from jaxgrow.lesions.lesion import Lesion
 from jaxgrow.lesions.myoma import Myoma
 from jaxgrow.lesions.polyp import Polyp
 from jaxgrow.organ.organ import Organ
+from jaxgrow.organ.registry import ORGANS
 from jaxgrow.runtime.entries import (
     check_names,
     Model,
     Positive,
     read_toml,
     SceneError,
+    UNKNOWN_KIND,
     validated,
 )
 
 
 LESIONS: dict[str, type[Lesion]] = {"polyp": Polyp, "myoma": Myoma}
 """Registered kinds of lesion, by name; those of scene files and of the command."""
-
-if TYPE_CHECKING:
-    AnyLesion: TypeAlias = Lesion
-else:
-    AnyLesion = Polyp | Myoma
 
 
 class Surroundings(Model):
@@ -63,46 +62,46 @@ class Scene(Model):
     """Full specification of a growth, except its seed and tolerance.
 
     Attributes:
-        organ: "uterus" for the built-in one, the path of a mesh file, an `Organ`, or
-            None for a lesion that grows freely in space.
+        organ: "uterus" or another registered name, the path of a mesh file, an `Organ`,
+            or None for a lesion that grows freely in space.
         unit_mm: length of one unit of the organ's file, in mm.
         tissue: side of the organ's surface on which its tissue lies: "outside" of a
             hollow organ's inner surface, "inside" of a solid one.
         lesion: a `Polyp`, a `Myoma`, or one of another registered kind.
-        parameters: of the mechanics; the default of each is that of the lesion's kind.
+        parameters: of the mechanics, in units of a fraction of the lesion's size (see
+            `Lesion.unit_mm`); the default of each is that of the lesion's kind.
+            "printed" for those of the paper alone.
         surroundings: of the lesion.
     """
 
     organ: Organ | Path | str | None = "uterus"
     unit_mm: Positive = 1.0
     tissue: Literal["outside", "inside"] = "outside"
-    lesion: Annotated[AnyLesion, pydantic.Field(discriminator="kind")] = Polyp()
-    parameters: Parameters = pydantic.Field(default_factory=Parameters)
+    lesion: pydantic.SerializeAsAny[Lesion] = Polyp()
+    parameters: Parameters = pydantic.Field(default_factory=dict, validate_default=True)
     surroundings: Surroundings = Surroundings()
 
-    @pydantic.model_validator(mode="before")
+    @pydantic.field_validator("lesion", mode="plain")
     @classmethod
-    def _mechanics_of_the_lesion(cls, entries: Any) -> Any:
-        given = entries.get("parameters", {})
-        if not isinstance(given, dict):
-            return entries
-        lesion = entries.get("lesion")
-        kind = lesion.get("kind") if isinstance(lesion, dict) else None
-        own = LESIONS.get(str(kind), Polyp)
-        own = type(lesion) if isinstance(lesion, Lesion) else own
-        return {**entries, "parameters": {**own.mechanics, **given}}
-
-    @pydantic.field_validator("lesion", mode="wrap")
-    @classmethod
-    def _lesion(cls, value: object, read: Callable[[object], object]) -> object:
+    def _lesion(cls, value: object) -> Lesion:
         # a kind need not be registered to be used in Python
-        return value if isinstance(value, Lesion) else read(value)
+        return value if isinstance(value, Lesion) else _read_lesion(value)
 
     @pydantic.field_validator("parameters", mode="before")
     @classmethod
-    def _parameters(cls, value: object) -> object:
+    def _parameters(cls, value: object, others: Any) -> object:
+        if value == "printed":
+            value = dict(PRINTED)
         if not isinstance(value, dict):
             return value
+        lesion = others.data.get("lesion")  # None if it is wrong
+        if isinstance(lesion, Lesion):
+            twice = sorted(set(lesion.requested()) & set(value))
+            if twice:
+                raise ValueError(
+                    f"the lesion determines {twice[0]} already; give one of both"
+                )
+            value = {**lesion.defaults(), **lesion.requested(), **value}
         check_names(value, [field.name for field in dataclasses.fields(Parameters)])
         for name, number in value.items():
             if isinstance(number, bool) or not isinstance(number, int | float):
@@ -122,6 +121,30 @@ class Scene(Model):
     def r0_mm(self) -> float:
         """Length of r0 in mm."""
         return self.lesion.r0_mm
+
+
+def _read_lesion(entries: object) -> Lesion:
+    """Make a lesion of a registered kind from its entries.
+
+    Raises:
+        ValueError: one that pydantic takes apart, with the place of each error.
+    """
+    if not isinstance(entries, dict):
+        raise PydanticCustomError("table", "give a table with a kind, or a Lesion")
+    if "kind" not in entries:
+        raise _at_kind(entries, "missing")
+    name = entries["kind"]
+    if not isinstance(name, str) or name not in LESIONS:
+        known = {"known": ", ".join(map(repr, LESIONS))}
+        unknown = PydanticCustomError(UNKNOWN_KIND, "known are {known}", known)
+        raise _at_kind(name, unknown)
+    return LESIONS[name].model_validate(entries)
+
+
+def _at_kind(given: object, problem: str | PydanticCustomError) -> ValidationError:
+    """Return the error of a lesion's kind."""
+    line = InitErrorDetails(type=problem, loc=("kind",), input=given)
+    return ValidationError.from_exception_data("Lesion", [line])
 
 
 def register_lesion(kind: type[Lesion]) -> type[Lesion]:
@@ -146,9 +169,6 @@ def register_lesion(kind: type[Lesion]) -> type[Lesion]:
     if missing := getattr(kind, "__abstractmethods__", None):
         raise TypeError(f"{kind.__name__} has no {', no '.join(sorted(missing))}.")
     LESIONS[name] = kind
-    any_lesion: Any = Union[tuple(LESIONS.values())]  # noqa: UP007
-    Scene.model_fields["lesion"].annotation = any_lesion
-    Scene.model_rebuild(force=True)
     return kind
 
 
@@ -173,7 +193,7 @@ def read_entries(path: str | Path) -> dict[str, Any]:
     path = Path(path)
     entries = read_toml(path, "scene", SceneError)
     organ = entries.get("organ")
-    if isinstance(organ, str) and organ != "uterus":
+    if isinstance(organ, str) and organ not in ORGANS:
         entries["organ"] = str(path.parent / organ)
     return entries
 
@@ -188,4 +208,7 @@ def make_scene(entries: dict[str, Any], *, source: str) -> Scene:
     Raises:
         SceneError: names every wrong entry with what is wanted.
     """
-    return validated(Scene, entries, source=source, error=SceneError)
+    lesion = entries.get("lesion")
+    kind = str(lesion.get("kind")) if isinstance(lesion, dict) else ""
+    tables = {"lesion": LESIONS[kind]} if kind in LESIONS else {}
+    return validated(Scene, entries, source=source, error=SceneError, tables=tables)

@@ -19,7 +19,7 @@ from jaxgrow.mesh.surface import average_parents, Remeshing, Surface
 from jaxgrow.mesh.topology import build_topology
 from jaxgrow.numerics.capacity import capacity_for
 from jaxgrow.runtime.types import Scalar
-from jaxgrow.state import Membrane, Particles
+from jaxgrow.state import Membrane, Particles, replaced
 
 
 MembraneOrNone = TypeVar("MembraneOrNone", bound=Membrane | None)
@@ -174,13 +174,28 @@ def put_remeshed(membrane: Membrane, remeshing: Remeshing) -> Membrane:
     most = max([len(p) for p in remeshing.parents], default=0)
     old = membrane.vertices.shape[0]
     capacity = max(_vertex_capacity(remeshing, most), old)
-    vertices = membrane.vertices
+    carried = _carried(membrane)
     if capacity > old:
-        more = jnp.zeros((capacity - old, 3), vertices.dtype)
-        vertices = jnp.concatenate([vertices, more])
+        more = jnp.zeros((capacity - old, 7), carried.dtype)
+        carried = jnp.concatenate([carried, more])
     for parents in remeshing.parents:
-        vertices = _average(vertices, put(padded(parents, capacity)))
-    return put_at_rest(vertices, remeshing)
+        carried = _average(carried, put(padded(parents, capacity)))
+    vertices, reference, hyperplasia = _split(carried)
+    return put_at_rest(vertices, remeshing, reference, hyperplasia)
+
+
+@jax.jit
+def _carried(membrane: Membrane) -> Float[Array, "m 7"]:
+    """Join the fields that remeshing carries linearly: a row a vertex."""
+    marks = membrane.hyperplasia[:, None]
+    return jnp.concatenate([membrane.vertices, membrane.reference, marks], axis=1)
+
+
+@jax.jit
+def _split(
+    carried: Float[Array, "m 7"],
+) -> tuple[Float[Array, "m 3"], Float[Array, "m 3"], Float[Array, " m"]]:
+    return carried[:, :3], carried[:, 3:6], carried[:, 6]
 
 
 _average = jax.jit(average_parents)
@@ -203,21 +218,34 @@ def _rest(membrane: Membrane) -> dict[str, Float[Array, "k _"]]:
 
 
 def reset_springs(membrane: Membrane) -> Membrane:
-    """Reset the rest data of all springs and hinges to the current shape.
+    """Reset the rest data of all terms of the membrane.
 
-    Springs are "assigned a new equilibrium length" (paper §4).
+    Springs are "assigned a new equilibrium length" (paper §4); healthy tissue keeps its
+    own (see `jaxgrow.energy.term.MembraneTerm.at_rest`).
     """
     return membrane.with_rest(_rest(membrane.with_rest({})))
 
 
+def as_reference(membrane: Membrane) -> Membrane:
+    """Make the present positions the reference, and reset all rest data."""
+    return reset_springs(replaced(membrane, reference=membrane.vertices))
+
+
 def put_at_rest(
-    vertices: Float[Array, "m 3"], mesh: Surface | Remeshing, *, room: bool = True
+    vertices: Float[Array, "m 3"],
+    mesh: Surface | Remeshing,
+    reference: Float[Array, "m 3"] | None = None,
+    hyperplasia: Float[Array, " m"] | None = None,
+    *,
+    room: bool = True,
 ) -> Membrane:
     """Build a membrane at rest from vertices and a mesh's connectivity.
 
     Args:
         vertices: on the device; padding behind those of the mesh.
         mesh: gives faces, fixed vertices and source.
+        reference: positions before growth; the present ones by default.
+        hyperplasia: of each vertex; 1 by default.
         room: whether to pad to twice as many faces and three times as many edges as
             vertices, or not at all.
     """
@@ -233,6 +261,10 @@ def put_at_rest(
         edges=put(padded(edges, most_edges)),
         opposite=put(padded(topology.opposite, most_edges, -1)),
         rest={},
+        reference=vertices if reference is None else reference,
+        hyperplasia=jnp.ones_like(vertices[:, 0])
+        if hyperplasia is None
+        else hyperplasia,
         vertex_alive=put(np.arange(capacity) < len(mesh.fixed)),
         face_alive=put(np.arange(most_faces) < faces),
         edge_alive=put(np.arange(most_edges) < len(edges)),

@@ -11,7 +11,7 @@ import jaxgrow as jg
 
 CLUSTER = jg.Scene(organ=None, lesion=jg.Myoma(divisions=11))
 POLYP = jg.Scene(
-    lesion=jg.Polyp(divisions=8, particle_mm=1.5),
+    lesion=jg.Polyp(divisions=8, particle_mm=1.5, divisions_per_step=1),
     surroundings=jg.Surroundings(radius=4.0),
 )
 
@@ -90,6 +90,9 @@ def test_what_watches_a_growth_sees_its_state_and_may_end_it(whole):
 
 
 def test_interrupted_growth_is_not_lost(whole):
+    # a shell makes its background jobs ignore Ctrl-C
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
     def interrupt(progress):
         if progress.divisions == 4:
             signal.raise_signal(signal.SIGINT)
@@ -101,6 +104,15 @@ def test_interrupted_growth_is_not_lost(whole):
     assert growth.result is jg.Result.INTERRUPTED
     assert growth.events.divisions == 4
     assert bits(jg.grow(after=growth)) == bits(whole)
+
+
+def test_interrupt_keeps_its_growth_between_processes(tiny_cluster):
+    from jaxgrow.growth.grow import GrowthInterrupted
+
+    sent = pickle.loads(pickle.dumps(GrowthInterrupted(tiny_cluster)))
+    assert isinstance(sent, GrowthInterrupted)
+    assert bits(sent.growth) == bits(tiny_cluster)
+    assert str(sent) == str(GrowthInterrupted(tiny_cluster))
 
 
 def test_interrupted_step_was_never_made(whole, monkeypatch):

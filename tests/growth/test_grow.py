@@ -2,21 +2,14 @@
 
 import inspect
 import json
-import warnings
 from dataclasses import replace
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.spatial import KDTree
 
 import jaxgrow as jg
-from jaxgrow.energy.a2 import CUTOFF
-from jaxgrow.energy.parameters import Parameters, UnstableAdhesionWarning
 from jaxgrow.equilibrium.refresh_lists import stale
-from jaxgrow.growth import adaptation
 from jaxgrow.growth.adaptation import equilibrate
 from jaxgrow.growth.grow import grow
 from jaxgrow.growth.initial_state import make_free_cluster
@@ -31,18 +24,10 @@ from jaxgrow.runtime.results import Result
 from jaxgrow.scene.scene import Scene
 from jaxgrow.transfer.device import get, get_particles
 
+from .free_clusters import arrays, CLUSTER, free, nearest
+
 
 # free clusters
-
-CLUSTER = Scene(organ=None, lesion=Myoma(divisions=299))
-"""All sizes are grown in arrays of 300, and so with the same programs."""
-
-
-def arrays(adhesion):
-    """Parameters as arrays, which are traced: every adhesion uses one program."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UnstableAdhesionWarning)
-        return jax.tree.map(jnp.asarray, Parameters(adhesion=adhesion))
 
 
 def clusters(adhesion, tolerance, sizes, seed=0):
@@ -71,10 +56,6 @@ def exponent(found):
     size = np.log(list(found))
     radius = np.log([gyration(position) for position in found.values()])
     return np.polyfit(size, radius, 1)[0]
-
-
-def nearest(position):
-    return KDTree(position).query(position, k=2)[0][:, 1]
 
 
 @pytest.fixture(scope="module")
@@ -121,18 +102,6 @@ def test_cluster_of_200_at_the_printed_adhesion_has_the_size_of_100():
         assert gyration(position) == pytest.approx(1.0, abs=0.15)
         assert nearest(position).min() < 0.5
         assert np.median(nearest(position)) < 0.5
-
-
-def free(divisions=29, seed=0, **more):
-    parameters = arrays(0.2)
-    return grow(
-        CLUSTER, seed=seed, parameters=parameters, max_divisions=divisions, **more
-    )
-
-
-@pytest.fixture(scope="module")
-def thirty():
-    return free()
 
 
 def test_steps_of_the_loop_are_those_of_grow(thirty):
@@ -203,81 +172,6 @@ def test_progress_is_told_after_every_division(tiny_cluster):
     assert seen[-1].target_mm is None
     assert seen[-1].size_mm == again.size_mm
     assert seen[-1].residual == again.history[-1].residual
-
-
-def test_relaxation_that_fails_ends_the_growth_with_the_last_equilibrium(
-    monkeypatch, thirty
-):
-    monkeypatch.setattr(adaptation, "ATTEMPTS", ((0.1, 1), (0.025, 1)))
-    ended = free(tolerance=1e-12)
-    assert ended.result is Result.STEP_LIMIT
-    assert len(ended.history) == len(ended.events) + 1 < 5
-    assert ended.history[-1].result == "STEP_LIMIT"
-    assert ended.history[-1].mended == {"retried_after_step_limit": 1}
-    count = int(ended.state.particles.alive.sum())
-    assert count == 1 + len(ended.events)
-
-
-def test_relaxation_that_fails_is_tried_again_with_shorter_steps(monkeypatch, thirty):
-    monkeypatch.setattr(adaptation, "ATTEMPTS", ((0.1, 1), (0.1, 1500)))
-    mended = free()
-    assert mended.result is thirty.result
-    retried = [r.mended.get("retried_after_step_limit", 0) for r in mended.history]
-    assert sum(retried) > 10
-    # from where the first attempt started, not from where it ended
-    np.testing.assert_array_equal(
-        mended.state.particles.position, thirty.state.particles.position
-    )
-
-
-def test_cluster_that_flies_apart_is_no_equilibrium(monkeypatch):
-    real = adaptation.relax
-
-    def throw(particles, *rest, **more):
-        outcome = real(particles, *rest, **more)
-        far = eqx.tree_at(
-            lambda p: p.position, outcome.state[0], replace_fn=lambda x: 9 * x
-        )
-        return outcome._replace(state=(far, None))
-
-    monkeypatch.setattr(adaptation, "relax", throw)
-    ended = free(divisions=3)
-    assert ended.result is Result.EVAPORATED
-    assert len(ended.events) == 0
-    assert ended.history[-1].mended == {"retried_after_evaporated": 1}
-
-
-@pytest.mark.parametrize(
-    "factor, apart", [(1.0, False), (1.15, False), (1.4, True), (4.0, True)]
-)
-def test_particles_that_fly_apart_are_noticed(thirty, factor, apart):
-    """A jump of the radius of gyration, though everybody keeps a neighbour to 1.5."""
-    before = thirty.state.particles
-    after = eqx.tree_at(lambda p: p.position, before, factor * before.position)
-    nearest_after = nearest(get_particles(after)[0])
-    assert (nearest_after.max() < 1.5) == (factor < 4)
-    assert adaptation._flew_apart(before, after) is apart
-
-
-@pytest.mark.parametrize("moved", [0, 5, 200])
-@pytest.mark.parametrize("scattered", [0, 3, 9, 40])
-def test_particles_that_lost_their_neighbours_are_counted(moved, scattered):
-    rng = np.random.default_rng(0)
-    old = rng.uniform(-4, 4, (400, 3))
-    old[:3] += 50 * np.arange(1, 4)[:, None]  # they have none from the beginning
-    new, chosen = old.copy(), rng.permutation(400)
-    new[chosen[:moved]] += 0.1 * rng.normal(size=(moved, 3))
-    new[chosen[:scattered]] += 30 + 9 * np.arange(scattered)[:, None]
-    alone = [int(np.count_nonzero(nearest(at) >= CUTOFF)) for at in (old, new)]
-    wanted = alone[1] > alone[0] + 0.02 * 400
-    assert adaptation._lost(old, new) is bool(wanted)
-    assert wanted == (scattered > 8)
-
-
-def test_two_that_keep_away_from_each_other_are_apart():
-    old = np.array([[0.0, 0, 0], [1, 0, 0]])
-    assert adaptation._lost(old, 9 * old)
-    assert not adaptation._lost(9 * old, 10 * old)
 
 
 def test_time_limit_is_a_result():
@@ -352,12 +246,14 @@ def test_labels_are_near_the_lesion_only(tiny_polyp):
     assert set(np.unique(label)) == {0, 1}
 
 
-def test_source_is_the_same_vertex_through_every_remeshing(tiny_polyp):
-    source = tiny_polyp.events[0].remeshing.source
-    for event in tiny_polyp.events[1:]:
+def test_source_is_the_same_vertex_through_every_remeshing():
+    printed = Polyp(divisions=3, focus_mm=0.0, divisions_per_step=1)
+    growth = grow(Scene(lesion=printed))
+    source = growth.events[0].remeshing.source
+    for event in growth.events[1:]:
         assert event.remeshing.origin()[event.remeshing.source] == source
         source = event.remeshing.source
-    membrane = tiny_polyp.state.membrane
+    membrane = growth.state.membrane
     assert int(membrane.source) == source
     assert get(membrane.vertex_alive)[source]
     assert not get(membrane.pinned)[source]

@@ -158,6 +158,25 @@ def test_part_of_a_problem_feels_the_same_in_it(sheet):
     )
 
 
+@pytest.mark.parametrize("name", ["springs", "bending", "pair", "contact", "collision"])
+def test_name_of_a_term_of_jaxgrow_is_refused(cloud, name):
+    # rest data and loops are found by it: the term would have those of the other
+    other = type("Other", (Weight,), {"name": name})
+    with pytest.raises(ValueError, match=f"named '{name}', as one of jaxgrow's own"):
+        relax(cloud, terms=[other()])
+
+
+def test_two_classes_of_one_name_are_refused_and_two_objects_of_one_are_not(cloud):
+    other = type("Other", (Weight,), {"name": Weight.name})
+    with pytest.raises(ValueError, match="give each class a name of its own"):
+        relax(cloud, terms=[Weight(), other()])
+    twice = relax(cloud, terms=[Weight(0.01), Weight(0.01)], tolerance=1e-9)
+    once = relax(cloud, terms=[Weight(0.02)], tolerance=1e-9)
+    for a, b in zip(twice.state, once.state, strict=True):
+        if a is not None:
+            np.testing.assert_allclose(a.position, b.position, atol=1e-7)
+
+
 def test_relaxation_with_a_term_of_ones_own_is_one_loop_and_ends_at_rest(cloud):
     outcome = relax(cloud, terms=[Weight()], tolerance=1e-9)
     assert outcome.result is Result.CONVERGED

@@ -18,7 +18,8 @@ from jaxgrow.scene.scene import Scene, Surroundings
 
 
 POLYP = Scene(
-    lesion=Polyp(divisions=8, particle_mm=1.5), surroundings=Surroundings(radius=4.0)
+    lesion=Polyp(divisions=8, particle_mm=1.5, divisions_per_step=1),
+    surroundings=Surroundings(radius=4.0),
 )
 CLUSTER = Scene(organ=None, lesion=Myoma(divisions=11))
 NARROW = Scene(
@@ -43,8 +44,8 @@ def leaves(growth):
     return jax.tree.leaves((growth.state.particles, growth.state.membrane))
 
 
-def arrays(**changed):
-    return jax.tree.map(jnp.asarray, Parameters(**changed))
+def arrays(scene=POLYP, **changed):
+    return jax.tree.map(jnp.asarray, replace(scene.parameters, **changed))
 
 
 @pytest.fixture(scope="module")
@@ -97,9 +98,7 @@ def test_replay_enlarges_the_patch_again(monkeypatch):
 
 
 def test_other_parameters_move_every_equilibrium_a_little(polyp):
-    stiffer = grow(
-        POLYP, parameters=Parameters(spring_stiffness=0.0401), events=polyp.events
-    )
+    stiffer = grow(POLYP, parameters={"spring_stiffness": 0.0401}, events=polyp.events)
     assert stiffer.tolerance == 1e-10
     assert all(r.steps > 0 and r.residual <= 1e-10 for r in stiffer.history)
     gap = stiffer.state.membrane.vertices - polyp.state.membrane.vertices
@@ -115,7 +114,7 @@ def test_events_are_a_sequence(polyp):
     assert len(polyp.events) == len(list(polyp.events)) == 8
     assert polyp.events[0].divisions[0].slot == polyp.events[1].divisions[0].slot - 1
     assert len(polyp.events[2:]) == 6
-    assert polyp.events.parameters == Parameters()
+    assert polyp.events.parameters == POLYP.parameters
 
 
 def metrics(parameters, scene, events=None, **more):
@@ -127,10 +126,10 @@ def metrics(parameters, scene, events=None, **more):
 
 def difference(scene, events, name, step):
     """Central difference along the frozen path, of fourth order."""
-    value = float(getattr(Parameters(), name))
+    value = float(getattr(scene.parameters, name))
 
     def at(factor):
-        changed = arrays(**{name: value + factor * step * value})
+        changed = arrays(scene, **{name: value + factor * step * value})
         return np.asarray(metrics(changed, scene, events, tolerance=1e-13))
 
     wide, narrow = at(2) - at(-2), at(1) - at(-1)
@@ -146,17 +145,22 @@ def slopes(polyp):
 
 def test_value_under_a_derivative_is_that_of_the_growth(polyp, slopes):
     value, _ = slopes
-    np.testing.assert_array_equal(value, metrics(Parameters(), POLYP, polyp.events))
+    np.testing.assert_array_equal(value, metrics(POLYP.parameters, POLYP, polyp.events))
 
 
 @pytest.mark.parametrize(
-    "name", ["spring_stiffness", "adhesion", "contact_range", "pretension"]
+    "name",
+    [
+        *("spring_stiffness", "adhesion", "contact_range", "pretension"),
+        *("focus_radius", "healthy_stiffness", "area_modulus", "bending_stiffness"),
+    ],
 )
 def test_gradient_agrees_with_differences_along_the_frozen_path(polyp, slopes, name):
-    wanted = difference(POLYP, polyp.events, name, 1e-5)
+    weak = name in ("healthy_stiffness", "area_modulus")  # a small value or effect
+    wanted = difference(POLYP, polyp.events, name, 1e-3 if weak else 1e-5)
     found = [float(getattr(slope, name)) for slope in slopes[1]]
     assert np.abs(wanted).min() > 0
-    np.testing.assert_allclose(found, wanted, rtol=1e-6)
+    np.testing.assert_allclose(found, wanted, rtol=1e-5 if weak else 1e-6)
 
 
 def test_where_a_daughter_is_put_has_no_derivative(slopes):
@@ -186,10 +190,10 @@ def test_free_cluster_shrinks_with_adhesion_as_its_gradient_says(cluster):
     def diameter(parameters, **more):
         return metrics(parameters, CLUSTER, cluster.events, **more)[1]
 
-    slope = jax.grad(diameter)(arrays())
-    value = float(Parameters().adhesion)
+    slope = jax.grad(diameter)(arrays(CLUSTER))
+    value = float(CLUSTER.parameters.adhesion)
     at = [
-        float(diameter(arrays(adhesion=value + s * 1e-4), tolerance=1e-13))
+        float(diameter(arrays(CLUSTER, adhesion=value + s * 1e-4), tolerance=1e-13))
         for s in (1, -1)
     ]
     assert slope.adhesion < 0
@@ -198,13 +202,13 @@ def test_free_cluster_shrinks_with_adhesion_as_its_gradient_says(cluster):
 
 def test_collisions_have_derivatives_too():
     events = grow(MEETING, tolerance=1e-10).events
-    slope = jax.grad(lambda p: metrics(p, MEETING, events)[0])(arrays())
+    slope = jax.grad(lambda p: metrics(p, MEETING, events)[0])(arrays(MEETING))
     wanted = difference(MEETING, events, "spring_stiffness", 1e-5)[0]
     np.testing.assert_allclose(slope.spring_stiffness, wanted, rtol=1e-5)
 
 
 def test_replay_that_finds_no_equilibrium_says_so(polyp):
-    far = replace(Parameters(), spring_stiffness=1e9)
+    far = replace(POLYP.parameters, spring_stiffness=1e9)
     ended = grow(POLYP, parameters=far, events=polyp.events)
     assert not ended.result.success
     assert len(ended.history) < 8 or ended.history[-1].result != "CONVERGED"

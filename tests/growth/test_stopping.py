@@ -13,13 +13,13 @@ def records(sizes, colliding=True, each=1):
     figures = {"residual": 0.0, "steps": 1, "method": "lbfgs", "result": "CONVERGED"}
     counts = {"particles": 2, "tumour": 2, "colliding": colliding}
     return [
-        StepRecord(number * each, size, **figures, **counts)
+        StepRecord(number * each, size, size / 10, **figures, **counts)
         for number, size in enumerate(sizes, 1)
     ]
 
 
 def reason(scene, divisions, past):
-    return stop_reason(scene.lesion, Stopping(7.0, divisions, past, GrowthLimits(3000)))
+    return stop_reason(scene.lesion, Stopping(0.7, divisions, past, GrowthLimits(3000)))
 
 
 def test_cavity_is_full_when_divisions_against_a_wall_hardly_enlarge():

@@ -141,7 +141,7 @@ def test_source_without_room_has_no_division():
         0,
     )
     assert choose_polyp(surface, 5, np.array([0.0, 0.0, -0.1])) is None
-    assert choose_polyp(surface, 5, 1e-4 * np.ones(3)) == Division(5)
+    assert choose_polyp(surface, 5, 1e-4 * np.ones(3)) == Division(5, source=0)
 
 
 def test_myoma_divides_into_two_halves_about_where_its_parent_was(particles):

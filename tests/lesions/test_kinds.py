@@ -10,16 +10,6 @@ from jaxgrow.cli.main import combine
 from jaxgrow.scene import scene as module
 
 
-@pytest.fixture
-def kinds():
-    """The kinds that are known, as they were, afterwards."""
-    before = dict(module.LESIONS)
-    yield
-    module.LESIONS.clear()
-    for kind in before.values():
-        jg.register_lesion(kind)
-
-
 class Oldest(jg.Myoma):
     """A ball in which the first particle alone divides."""
 
@@ -37,7 +27,7 @@ def test_kind_needs_no_registration_in_python():
     assert scene.parameters.tumour_stiffness == 3.0
 
 
-def test_kind_of_a_script_grows_replays_and_is_read_from_files(kinds, tmp_path):
+def test_kind_of_a_script_grows_replays_and_is_read_from_files(registries, tmp_path):
     jg.register_lesion(Oldest)
     scene = jg.Scene(organ=None, lesion=Oldest(divisions=6))
     growth = jg.grow(scene, seed=1)
@@ -58,7 +48,7 @@ def test_kind_of_a_script_grows_replays_and_is_read_from_files(kinds, tmp_path):
     assert isinstance(told.lesion, Oldest)
 
 
-def test_kind_that_is_not_registered_is_refused_with_those_that_are(kinds):
+def test_kind_that_is_not_registered_is_refused_with_those_that_are(registries):
     with pytest.raises(jg.SceneError, match="'polyp', 'myoma'"):
         jg.make_scene({"lesion": {"kind": "oldest"}}, source="test")
     jg.register_lesion(Oldest)
@@ -66,13 +56,13 @@ def test_kind_that_is_not_registered_is_refused_with_those_that_are(kinds):
         jg.make_scene({"lesion": {"kind": "wart"}}, source="test")
 
 
-def test_entries_of_a_registered_kind_are_checked(kinds):
+def test_entries_of_a_registered_kind_are_checked(registries):
     jg.register_lesion(Oldest)
     with pytest.raises(jg.SceneError, match=r"lesion\.depht_mm .*depth_mm"):
         jg.make_scene({"lesion": {"kind": "oldest", "depht_mm": 2.0}}, source="test")
 
 
-def test_class_without_a_name_or_a_rule_is_no_kind(kinds):
+def test_class_without_a_name_or_a_rule_is_no_kind(registries):
     class Nameless(jg.Myoma):
         kind: str = "nameless"
 
@@ -84,6 +74,21 @@ def test_class_without_a_name_or_a_rule_is_no_kind(kinds):
     with pytest.raises(TypeError, match="no choose, no divide"):
         jg.register_lesion(Ruleless)
     assert set(module.LESIONS) == {"polyp", "myoma"}
+
+
+def test_registered_kind_is_stated_in_the_registry_alone(registries):
+    jg.register_lesion(Oldest)
+    assert jg.make_scene({"lesion": {"kind": "oldest"}}, source="test")
+    del module.LESIONS["oldest"]
+    with pytest.raises(jg.SceneError, match="'polyp', 'myoma'"):
+        jg.make_scene({"lesion": {"kind": "oldest"}}, source="test")
+
+
+def test_lesion_without_a_kind_is_told():
+    with pytest.raises(jg.SceneError, match=r"lesion\.kind is missing"):
+        jg.make_scene({"lesion": {"size_mm": 4.0}}, source="test")
+    with pytest.raises(jg.SceneError, match="lesion is 3: give a table with a kind"):
+        jg.make_scene({"lesion": 3}, source="test")
 
 
 @pytest.mark.parametrize("name", ["polyp", "myoma"])

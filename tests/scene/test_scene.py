@@ -82,7 +82,7 @@ def test_absolute_organ_path_is_kept(write, tmp_path):
 
 
 def test_size_decides_the_particle_diameter():
-    assert Polyp(size_mm=15.0).r0_mm == pytest.approx(1.5)
+    assert Polyp(size_mm=15.0).r0_mm == pytest.approx(1.25)
     assert Myoma(size_mm=14.0).r0_mm == pytest.approx(2.0)
 
 
