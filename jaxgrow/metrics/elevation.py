@@ -46,6 +46,17 @@ def height_above(
     are equally near, but not over one smooth surface; and beside the patch, where the
     side is that of the plane of the nearest triangle, the sign itself does.
     """
+    return height_and_direction(points, former)[0]
+
+
+def height_and_direction(
+    points: Float[Array, "n 3"], former: FormerSurface
+) -> tuple[Float[Array, " n"], Float[Array, "n 3"]]:
+    """Compute the height above the former surface and its gradient.
+
+    The gradient is the unit vector from the nearest point of the former surface, into
+    the lumen; on the surface it is the normal of the nearest triangle.
+    """
     corners = former.vertices[former.faces]
     # all pairs are compared without derivatives, which are those of the nearest alone
     fixed, fixed_corners = jax.lax.stop_gradient((points, corners))
@@ -61,9 +72,13 @@ def height_above(
     offset = points - jnp.sum(weights[..., None] * triangle, axis=1)
     normal = jnp.cross(triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0])
     size = safe_norm(normal)
-    to_plane = jnp.sum(offset * normal, axis=1) / jnp.where(size > 0, size, 1)
+    normal = normal / jnp.where(size > 0, size, 1)[:, None]
+    to_plane = jnp.sum(offset * normal, axis=1)
     distance = safe_norm(offset)
-    return jnp.where(distance > _ON, jnp.sign(to_plane) * distance, to_plane)
+    away = distance > _ON
+    height = jnp.where(away, jnp.sign(to_plane) * distance, to_plane)
+    outwards = offset / jnp.where(away, height, 1)[:, None]
+    return height, jnp.where(away[:, None], outwards, normal)
 
 
 def _square_distances(

@@ -8,6 +8,8 @@ from jaxgrow.mesh.surface import Surface
 from jaxgrow.state import FormerSurface, Frame, State
 from jaxgrow.transfer.device import put_membrane, put_particles
 
+from .polyhedra import PROFILES, revolve
+
 
 PARTICLES = np.array(
     [[0, 0, -2.0], [0, 0, -0.25], [1, 0, 0.4], [0, 1, 1.0], [0, 0, 9.0]]
@@ -42,3 +44,14 @@ def _make_state(surface, former, *, turn=None, shift=(0, 0, 0), mm=1.0):
 @pytest.fixture(scope="session")
 def make_state():
     return _make_state
+
+
+@pytest.fixture(scope="session")
+def lesion(make_state):
+    """The state of a lesion with a profile; all have the same shapes of arrays."""
+
+    def of(name, **where):
+        rings, tip = PROFILES[name]
+        return make_state(revolve(rings, tip), revolve(rings[:1], 0.0)[:2], **where)
+
+    return of

@@ -10,81 +10,7 @@ import pytest
 
 from jaxgrow.metrics import shape_metrics
 
-
-RIM = 8.0
-
-
-def line(start, end):
-    """Length of a straight piece of a profile, and its points (radius, height)."""
-    start, end = np.array(start, float), np.array(end, float)
-    length = np.linalg.norm(end - start)
-    return length, lambda s: start + (end - start) * s / length
-
-
-def arc(centre, radius, start, end):
-    """The same of an arc between two angles."""
-    length = radius * abs(end - start)
-
-    def at(s):
-        angle = start + (end - start) * s / length
-        return np.array(centre) + radius * np.array([np.cos(angle), np.sin(angle)])
-
-    return length, at
-
-
-def stitch(one, other, angle_one, angle_other):
-    """Triangles between two rings of vertices, each in the order of their angles."""
-    m, n = len(one), len(other)
-    i = j = 0
-    faces = []
-    while i < m or j < n:
-        next_one = angle_one[(i + 1) % m] + 2 * np.pi * ((i + 1) // m)
-        next_other = angle_other[(j + 1) % n] + 2 * np.pi * ((j + 1) // n)
-        if j == n or (i < m and next_one <= next_other):
-            faces.append([one[i % m], one[(i + 1) % m], other[j % n]])
-            i += 1
-        else:
-            faces.append([one[i % m], other[(j + 1) % n], other[j % n]])
-            j += 1
-    return faces
-
-
-def mesh(profile, spacing):
-    """Vertices, faces and rim: rings of irregular points on the surface, and the tip.
-
-    The rim is where the profile begins, the tip where it ends.
-    """
-    rng = np.random.default_rng(0)
-    total = sum(length for length, _ in profile)
-    count = round(total / spacing)
-
-    def at(s):
-        for length, point in profile[:-1]:
-            if s < length:
-                return point(s)
-            s -= length
-        return profile[-1][1](s)
-
-    vertices, faces, before = [], [], None
-    for k in range(count):
-        s = k * total / count
-        number = max(5, round(2 * np.pi * at(s)[0] / spacing))
-        angle = 2 * np.pi * (np.arange(number) + k % 2 / 2) / number
-        along = np.full(number, s)
-        if k > 1:  # the first ring is the rim, and none may cross it
-            angle += rng.uniform(-0.2, 0.2, number) * 2 * np.pi / number
-            along += rng.uniform(-0.2, 0.2, number) * total / count
-        index = len(vertices) + np.arange(number)
-        for a, (radius, height) in zip(angle, map(at, along), strict=True):
-            vertices.append([radius * np.cos(a), radius * np.sin(a), height])
-        if before is not None:
-            faces += stitch(before[0], index, before[1], angle)
-        before = index, angle
-    tip = np.full(len(before[0]), len(vertices))
-    faces += np.stack([before[0], np.roll(before[0], -1), tip], axis=1).tolist()
-    vertices.append([0.0, 0.0, at(total)[1]])
-    rim = np.arange(len(vertices)) < round(2 * np.pi * at(0)[0] / spacing)
-    return np.array(vertices), np.array(faces), rim
+from .surfaces import arc, cap, cylinder, disc_of, mesh, mushroom
 
 
 @pytest.fixture(scope="module")
@@ -93,49 +19,9 @@ def measure(make_state):
 
     def metrics(profile, spacing):
         vertices, faces, rim = mesh(profile, spacing)
-        number = int(rim.sum())
-        disc = np.concatenate([vertices[rim], [[0.0, 0, 0]]])
-        around = np.arange(number)
-        fan = np.stack([around, np.roll(around, -1), np.full(number, number)], axis=1)
-        return shape_metrics(make_state((vertices, faces, rim), (disc, fan)))
+        return shape_metrics(make_state((vertices, faces, rim), disc_of(vertices, rim)))
 
     return metrics
-
-
-def cap(radius, height):
-    """A part of a sphere on a plane."""
-    centre = height - radius
-    base = np.sqrt(radius**2 - centre**2)
-    return [
-        line((RIM, 0), (base, 0)),
-        arc((0, centre), radius, np.arctan2(-centre, base), np.pi / 2),
-    ]
-
-
-def cylinder(radius, length):
-    """A cylinder with half a sphere on it."""
-    return [
-        line((RIM, 0), (radius, 0)),
-        line((radius, 0), (radius, length)),
-        arc((0, length), radius, 0, np.pi / 2),
-    ]
-
-
-def mushroom(neck, tube, above=0.9):
-    """The inner side of a torus, on a plane, with a sphere that goes on smoothly.
-
-    Returns:
-        The profile, and the radius and the top of the sphere.
-    """
-    meet = np.pi - above
-    to_axis = (neck + tube) / np.cos(above)
-    radius, centre = to_axis - tube, tube + to_axis * np.sin(above)
-    profile = [
-        line((RIM, 0), (neck + tube, 0)),
-        arc((neck + tube, tube), tube, 1.5 * np.pi, meet),
-        arc((0, centre), radius, -above, np.pi / 2),
-    ]
-    return profile, radius, centre + radius
 
 
 # spacing and error; of curvature at places that are not all alike
@@ -147,14 +33,16 @@ FINE = [(0.8, 0.03), (0.4, 0.01)]
 def test_sphere_cap(measure, radius, height, spacing, rtol):
     found = measure(cap(radius, height), spacing)
     base = np.sqrt(radius**2 - (radius - height + 0.5) ** 2)  # half an r0 up
-    width = 2 * (radius if height > radius + 0.5 else base)
+    width = 2 * (radius if height > 1.2 * radius else base)
     raised = height - 0.5
     volume = np.pi * raised**2 * (3 * radius - raised) / 3
     surface = 2 * np.pi * radius * raised + np.pi * base**2
     wanted = {
         "height_mm": height,
+        "length_mm": height,
         "width_mm": width,
         "neck_width_mm": 2 * base,
+        "base_width_mm": 2 * base,
         "height_to_width": height / width,
         "neck_to_width": 2 * base / width,
         "volume_mm3": np.pi * height**2 * (3 * radius - height) / 3,
@@ -248,3 +136,14 @@ def test_a_ball_on_a_thin_neck_is_nearly_a_sphere_and_a_stalk_is_none(measure):
     ball, _, _ = mushroom(1.5, 0.8, above=1.2)
     assert measure(ball, 0.8).sphericity > 0.95
     assert measure(cylinder(2.0, 8.0), 0.8).sphericity < 0.85
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_has_hardly_risen_has_no_neck_however_ragged_it_is(make_state, seed):
+    vertices, faces, rim = mesh(cap(6.0, 0.7), 0.8)
+    noise = np.random.default_rng(seed).normal(0, 0.15, len(vertices))
+    vertices[:, 2] += np.where(rim, 0, np.clip(noise, -0.25, 0.25))
+    assert vertices[:, 2].max() < 1
+    found = shape_metrics(make_state((vertices, faces, rim), disc_of(vertices, rim)))
+    assert found.width_mm > 0
+    assert found.neck_to_width == 1
