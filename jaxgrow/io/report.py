@@ -62,7 +62,7 @@ def make_report(
     import jax
 
     from jaxgrow.mesh.audit import audit_surface
-    from jaxgrow.metrics import shape_metrics
+    from jaxgrow.metrics import measure
 
     _, species = growth.particles()
     outcome: dict[str, Any] = {
@@ -72,7 +72,7 @@ def make_report(
         "divisions": growth.events.divisions,
         "size_mm": growth.size_mm,
         "mended": growth.mended,
-        "metrics": named(shape_metrics(growth.state)),
+        "metrics": measure(growth.state),
     }
     counts = {
         "particles": len(species),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
@@ -13,29 +13,37 @@ import numpy as np
 from jaxtyping import Float, Integer, UInt8
 
 from jaxgrow.io.export import (
+    read_attributes,
     read_organ_ply,
     read_particles,
     write_atomically,
     write_mesh,
     write_particles,
 )
+from jaxgrow.io.formats.registry import check_formats, FORMATS
+from jaxgrow.io.polyline import write_polyline
+from jaxgrow.mesh.loop_subdivision import LEVELS
 
 
 if TYPE_CHECKING:
     from jaxgrow.growth.result import Growth
     from jaxgrow.io.audit import Audit
+    from jaxgrow.io.lesion_surface import LesionSurface
 
-
-FORMATS = ("ply", "obj", "stl", "glb")
-"""Formats of the organ; PLY is always written."""
 
 REPORT = "report.json"
 PICTURE = "growth.png"
 PARTICLES = "particles.ply"
 ORGAN = "organ.ply"
+RING = "base.obj"
 
-_FILES = {REPORT, PICTURE, PARTICLES, *(f"organ.{kind}" for kind in FORMATS)}
 _PARTIAL = ".jaxgrow-"
+
+
+def _files() -> set[str]:
+    """Return the names that files of a run may have."""
+    meshes = (f"{name}.{suffix}" for name in ("organ", "refined") for suffix in FORMATS)
+    return {REPORT, PICTURE, PARTICLES, RING, *meshes}
 
 
 class RunFolderError(ValueError):
@@ -53,6 +61,8 @@ class Run:
         position: of the particles, in mm.
         species: of the particles, 0 tissue, 1 tumour.
         report: the content of `jaxgrow.io.report.make_report`.
+        attributes: further values of every vertex by name: ``lesion``, the smooth
+            label, and ``region``; empty for a free cluster.
     """
 
     vertices: Float[np.ndarray, "m 3"] | None
@@ -61,6 +71,7 @@ class Run:
     position: Float[np.ndarray, "n 3"]
     species: UInt8[np.ndarray, " n"]
     report: dict[str, Any]
+    attributes: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 def check_destination(directory: str | Path) -> None:
@@ -95,8 +106,9 @@ def _check_content(directory: Path) -> None:
             "give the name of a new one."
         )
     names = [entry.name for entry in directory.iterdir()]
-    foreign = [n for n in names if n not in _FILES and not n.startswith(_PARTIAL)]
-    if foreign or (REPORT not in names and any(n in _FILES for n in names)):
+    known = _files()
+    foreign = [n for n in names if n not in known and not n.startswith(_PARTIAL)]
+    if foreign or (REPORT not in names and any(n in known for n in names)):
         example = sorted(foreign or names)[0]
         raise RunFolderError(
             f"{directory} is not empty and holds no earlier run alone "
@@ -105,7 +117,12 @@ def _check_content(directory: Path) -> None:
 
 
 def write_run(
-    growth: Growth, directory: str | Path, formats: Sequence[str] = ("ply",)
+    growth: Growth,
+    directory: str | Path,
+    formats: Sequence[str] = ("ply",),
+    *,
+    rim: bool = False,
+    refine: int = 0,
 ) -> dict[str, Any]:
     """Write a growth's run folder atomically; it is complete or unchanged.
 
@@ -114,8 +131,11 @@ def write_run(
     the new one comes last, so that a folder with a report is a complete run.
 
     ==================  =============================================================
-    ``organ.ply``       the whole organ with the lesion, labelled; none for a free
-                        cluster; also ``organ.obj``, ``.stl``, ``.glb``
+    ``organ.ply``       the whole organ with the lesion, with smooth and integer label
+                        and regions; none for a free cluster; also in other formats,
+                        as ``organ.obj``
+    ``refined.ply``     the same subdivided at the lesion, if asked; also ``.obj`` …
+    ``base.obj``        the ring round the lesion's base, a closed polyline
     ``particles.ply``   positions, species and radii of all particles
     ``growth.png``      the surface view and the inner view
     ``report.json``     request, outcome, counts, residuals, seconds, versions, audit
@@ -124,18 +144,23 @@ def write_run(
     Args:
         growth: the growth, successful or not.
         directory: the folder; see `check_destination`.
-        formats: of the organ's surface, besides PLY.
+        formats: of the organ's surface, besides PLY: "obj", "stl", "glb", or one
+            that was registered (`jaxgrow.register_format`).
+        rim: remesh the organ's surface along the base's ring, so that the lesion is
+            bounded by a smooth line of edges.
+        refine: levels of Loop subdivision of the lesion, for ``refined.ply``; 0: none.
+            A surface that would have defects is not written; the report tells why.
 
     Returns:
         The report.
 
     Raises:
         RunFolderError: the folder holds something else, or cannot be written to.
-        ValueError: a format is unknown.
+        ValueError: a format is unknown, or there are too many levels.
     """
-    unknown = [kind for kind in formats if kind not in FORMATS]
-    if unknown:
-        raise ValueError(f"format {unknown[0]!r} is unknown; use {', '.join(FORMATS)}.")
+    check_formats(formats)
+    if not 0 <= refine <= LEVELS:
+        raise ValueError(f"refine is {refine}; ask for 0 (none) to {LEVELS} levels.")
     directory = Path(directory).resolve()
     check_destination(directory)
     exists = directory.exists()
@@ -145,7 +170,7 @@ def write_run(
     with tempfile.TemporaryDirectory(prefix=_PARTIAL, dir=place) as temporary:
         partial = Path(temporary) / "run"
         partial.mkdir()
-        report = _fill(growth, partial, formats)
+        report = _fill(growth, partial, formats, rim=rim, refine=refine)
         if exists:
             _replace(directory, partial)
         else:
@@ -153,24 +178,64 @@ def write_run(
     return report
 
 
-def _fill(growth: Growth, directory: Path, formats: Sequence[str]) -> dict[str, Any]:
+def _fill(
+    growth: Growth,
+    directory: Path,
+    formats: Sequence[str],
+    *,
+    rim: bool,
+    refine: int,
+) -> dict[str, Any]:
     """Write all files of a run into an empty folder."""
-    from jaxgrow.io.report import make_report
+    from jaxgrow.io.lesion_surface import lesion_surface
+    from jaxgrow.io.report import make_report, plain
 
-    vertices = faces = label = None
-    if growth.organ is not None:
-        vertices, faces, label = growth.surface()
-        for kind in dict.fromkeys(("ply", *formats)):
-            write_mesh(directory / f"organ.{kind}", vertices, faces, label)
+    surface = None if growth.organ is None else lesion_surface(growth, rim=rim)
     position, species = growth.particles()
     radius = growth.scene.r0_mm / 2
     write_particles(directory / PARTICLES, position, species, radius)
-    _draw(growth, directory / PICTURE, vertices, faces, label)
-    report = make_report(growth, label)
+    _draw(growth, directory / PICTURE, surface)
+    report = make_report(growth, None if surface is None else surface.label)
+    report["surface"] = None
+    if surface is not None:
+        _write_surface(surface, directory, "organ", formats)
+        if len(surface.ring) >= 3:
+            write_polyline(directory / RING, surface.ring)
+        report["surface"] = plain(surface.as_dict())
+        if refine:
+            refined = _write_refined(surface, directory, formats, refine)
+            report["surface"]["refined"] = plain(refined)
     _write_report(directory, report)
     report["audit"] = audit_run(directory).as_dict()
     _write_report(directory, report)
     return report
+
+
+def _write_surface(
+    surface: LesionSurface, directory: Path, name: str, formats: Sequence[str]
+) -> None:
+    for kind in dict.fromkeys(("ply", *formats)):
+        write_mesh(
+            directory / f"{name}.{kind}",
+            surface.vertices,
+            surface.faces,
+            surface.label,
+            surface.attributes,
+        )
+
+
+def _write_refined(
+    surface: LesionSurface, directory: Path, formats: Sequence[str], levels: int
+) -> dict[str, Any]:
+    """Write the subdivided surface, or tell why there is none."""
+    from jaxgrow.io.lesion_surface import RefinementError
+
+    try:
+        refined = surface.refine(levels)
+    except RefinementError as error:
+        return {"refused": str(error)}
+    _write_surface(refined, directory, "refined", formats)
+    return {"refused": None, **refined.as_dict()}
 
 
 def _write_report(directory: Path, report: dict[str, Any]) -> None:
@@ -180,22 +245,16 @@ def _write_report(directory: Path, report: dict[str, Any]) -> None:
     write_atomically(directory / REPORT, lambda file: file.write(text.encode()))
 
 
-def _draw(
-    growth: Growth,
-    path: Path,
-    vertices: np.ndarray | None,
-    faces: np.ndarray | None,
-    label: np.ndarray | None,
-) -> None:
+def _draw(growth: Growth, path: Path, surface: LesionSurface | None) -> None:
     from jaxgrow.render import render_growth
 
     position, species = growth.particles()
     site = growth.site
     render_growth(
         path,
-        vertices=vertices,
-        faces=faces,
-        label=label,
+        vertices=None if surface is None else surface.vertices,
+        faces=None if surface is None else surface.faces,
+        label=None if surface is None else surface.lesion,
         particles=position,
         species=species,
         site=np.zeros(3) if site is None else site.point,
@@ -216,7 +275,7 @@ def describe(growth: Growth) -> str:
 
 def _replace(directory: Path, partial: Path) -> None:
     """Replace an earlier run by a complete one."""
-    for name in sorted(_FILES, key=lambda name: name != REPORT):
+    for name in sorted(_files(), key=lambda name: name != REPORT):
         (directory / name).unlink(missing_ok=True)
     for file in sorted(partial.iterdir(), key=lambda file: file.name == REPORT):
         file.replace(directory / file.name)
@@ -239,12 +298,13 @@ def read_run(directory: str | Path) -> Run:
         report = json.loads((directory / REPORT).read_text(encoding="utf-8"))
         free = report["request"]["scene"]["organ"] is None
         surface = (None, None, None) if free else read_organ_ply(directory / ORGAN)
+        attributes = {} if free else read_attributes(directory / ORGAN)
         position, species, _ = read_particles(directory / PARTICLES)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise RunFolderError(
             f"the run in {directory} is damaged: {_reason(error)}"
         ) from error
-    return Run(*surface, position, species, report)
+    return Run(*surface, position, species, report, attributes)
 
 
 def _reason(error: Exception) -> str:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 
 import numpy as np
-from jaxtyping import Bool, Float, Integer
+from jaxtyping import Float, Integer
 
 from jaxgrow.render import annotate, shading
 from jaxgrow.render.checks import check_frame, check_mesh, check_particles, check_size
 from jaxgrow.render.panels import inner_panel, surface_panel
-from jaxgrow.render.scene import Balls, DrawnSurface, make_surface
+from jaxgrow.render.scene import Balls, DrawnSurface, Labels, make_surface
 from jaxgrow.render.subject import make_subject, Subject
 
 
@@ -22,7 +22,7 @@ def render_growth(
     *,
     vertices: Float[np.ndarray, "m 3"] | None,
     faces: Integer[np.ndarray, "f 3"] | None,
-    label: Integer[np.ndarray, " m"] | Bool[np.ndarray, " m"] | None,
+    label: Labels | None,
     particles: Float[np.ndarray, "n 3"],
     species: Integer[np.ndarray, " n"],
     site: Float[np.ndarray, "3"],
@@ -48,7 +48,8 @@ def render_growth(
         vertices: The whole organ's vertices, mm.
         faces: Its triangles, oriented consistently, in either way: the side to which
             ``axis`` points is the free one.
-        label: 1 for vertices of the lesion, 0 for healthy ones.
+        label: 1 for vertices of the lesion, 0 for healthy ones, or a smooth label
+            between them.
         particles: Positions, mm; there may be none.
         species: 0 tissue, 1 tumour, further species beyond.
         site: Point of the healthy surface where the lesion grew, mm.

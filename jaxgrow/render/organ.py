@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Integer, UInt8
+from jaxtyping import Float, Float32, Integer, UInt8
 
 from jaxgrow.render import annotate, shading
 from jaxgrow.render.camera import Camera, look
 from jaxgrow.render.checks import check_mesh, check_size
 from jaxgrow.render.panels import lit
-from jaxgrow.render.scene import Balls, DrawnSurface, make_surface
+from jaxgrow.render.scene import Balls, DrawnSurface, Labels, make_surface
 from jaxgrow.render.view import EVERY, see
 
 
@@ -29,7 +29,7 @@ def render_surface(
     path: str | os.PathLike[str],
     vertices: Float[np.ndarray, "m 3"],
     faces: Integer[np.ndarray, "f 3"],
-    label: Integer[np.ndarray, " m"] | Bool[np.ndarray, " m"] | None = None,
+    label: Labels | None = None,
     *,
     view: str | Float[np.ndarray, "3"] = "front",
     inside: bool = False,

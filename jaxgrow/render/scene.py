@@ -14,6 +14,10 @@ from jaxgrow.render.camera import Camera, unit
 _FINE = 500
 
 
+Labels = Integer[np.ndarray, " m"] | Bool[np.ndarray, " m"] | Float[np.ndarray, " m"]
+"""Label of every vertex: 1 of a lesion, 0 healthy, or smooth between them."""
+
+
 @dataclass(frozen=True)
 class DrawnSurface:
     """Labelled triangle mesh.

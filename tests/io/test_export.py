@@ -11,6 +11,7 @@ import trimesh
 from trimesh.visual import ColorVisuals
 
 from jaxgrow.io import export
+from jaxgrow.io.formats.format import HEALTHY_COLOUR, LESION_COLOUR
 
 
 FORMATS = (".ply", ".obj", ".stl", ".glb")
@@ -79,7 +80,7 @@ def test_glb_carries_the_label_and_the_colours(organ, tmp_path) -> None:
     assert np.array_equal(np.ravel(mesh.vertex_attributes["_LABEL"]), organ[2])
     assert isinstance(mesh.visual, ColorVisuals)
     lesion = mesh.visual.vertex_colors[organ[2] == 1, :3]
-    assert np.all(lesion == export.LESION_COLOUR)
+    assert np.all(lesion == LESION_COLOUR)
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".obj"])
@@ -90,8 +91,62 @@ def test_viewers_see_the_lesion_in_its_own_colour(organ, tmp_path, suffix) -> No
     )
     assert isinstance(mesh.visual, ColorVisuals)
     colours = mesh.visual.vertex_colors[:, :3]
-    assert np.all(colours[organ[2] == 1] == export.LESION_COLOUR)
-    assert np.all(colours[organ[2] == 0] == export.HEALTHY_COLOUR)
+    assert np.all(colours[organ[2] == 1] == LESION_COLOUR)
+    assert np.all(colours[organ[2] == 0] == HEALTHY_COLOUR)
+
+
+@pytest.fixture
+def values(organ) -> dict[str, np.ndarray]:
+    share = np.clip(organ[0][:, 2] / 2, 0, 1).astype(np.float32)
+    return {"lesion": share, "region": (3 * share).astype(np.uint8)}
+
+
+def test_further_values_come_back_with_their_types(organ, values, tmp_path) -> None:
+    values["depth"] = organ[0][:, 0]
+    values["piece"] = np.arange(len(organ[0]), dtype=np.int64)
+    export.write_mesh(tmp_path / "a.ply", *organ, values)
+    back = export.read_attributes(tmp_path / "a.ply")
+    assert list(back) == list(values)
+    assert all(np.array_equal(back[name], values[name]) for name in values)
+    assert back["lesion"].dtype == np.float32
+    assert back["region"].dtype == np.uint8
+    assert export.read_organ_ply(tmp_path / "a.ply")[0].tobytes() == organ[0].tobytes()
+
+
+def test_another_reader_finds_further_values_of_ply(organ, values, tmp_path) -> None:
+    export.write_mesh(tmp_path / "a.ply", *organ, values)
+    mesh = trimesh.load_mesh(tmp_path / "a.ply", process=False)
+    data = mesh.metadata["_ply_raw"]["vertex"]["data"]
+    assert np.array_equal(data["lesion"], values["lesion"])
+    assert np.array_equal(data["region"], values["region"])
+
+
+def test_another_reader_finds_further_values_of_glb(organ, values, tmp_path) -> None:
+    export.write_mesh(tmp_path / "a.glb", *organ, values)
+    mesh = trimesh.load_mesh(tmp_path / "a.glb", process=False)
+    assert np.array_equal(np.ravel(mesh.vertex_attributes["_LESION"]), values["lesion"])
+    assert np.array_equal(np.ravel(mesh.vertex_attributes["_REGION"]), values["region"])
+    assert np.array_equal(np.ravel(mesh.vertex_attributes["_LABEL"]), organ[2])
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".glb"])
+def test_colours_follow_the_smooth_label(organ, values, tmp_path, suffix) -> None:
+    export.write_mesh(tmp_path / f"a{suffix}", *organ, values)
+    mesh = trimesh.load_mesh(
+        tmp_path / f"a{suffix}", process=False, maintain_order=True
+    )
+    assert isinstance(mesh.visual, ColorVisuals)
+    span = np.subtract(LESION_COLOUR, HEALTHY_COLOUR)
+    expected = HEALTHY_COLOUR + values["lesion"][:, None] * span
+    assert np.abs(mesh.visual.vertex_colors[:, :3] - expected).max() <= 1
+
+
+@pytest.mark.parametrize("bad", [np.zeros(3), np.full(162, np.nan)])
+def test_further_values_are_one_finite_number_a_vertex(organ, bad, tmp_path) -> None:
+    with pytest.raises(
+        ValueError, match=r"attribute 'depth' .* give one finite number"
+    ):
+        export.write_mesh(tmp_path / "a.ply", *organ, {"depth": bad})
 
 
 def test_particles_come_back_bit_for_bit(tmp_path) -> None:

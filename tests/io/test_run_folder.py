@@ -7,6 +7,7 @@ import pytest
 import trimesh
 from PIL import Image
 
+from jaxgrow.io.lesion_surface import lesion_surface, LesionSurface, RefinementError
 from jaxgrow.io.run_folder import (
     audit_run,
     check_destination,
@@ -20,6 +21,12 @@ from jaxgrow.io.run_folder import (
 def polyp_run(tiny_polyp, tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "new" / "polyp"
     return folder, write_run(tiny_polyp, folder, ("obj", "stl", "glb"))
+
+
+@pytest.fixture(scope="module")
+def finished_run(tiny_polyp, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "finished"
+    return folder, write_run(tiny_polyp, folder, ("glb",), rim=True, refine=1)
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +51,7 @@ def test_folder_holds_what_is_promised_and_nothing_else(polyp_run):
         "organ.obj",
         "organ.stl",
         "organ.glb",
+        "base.obj",
         "particles.ply",
         "growth.png",
         "report.json",
@@ -60,6 +68,64 @@ def test_surface_comes_back_bit_for_bit(polyp_run, tiny_polyp):
     assert np.array_equal(run.vertices, vertices)
     assert np.array_equal(run.faces, faces)
     assert np.array_equal(run.label, label)
+
+
+def test_smooth_label_and_regions_come_back(polyp_run, tiny_polyp):
+    run, surface = read_run(polyp_run[0]), lesion_surface(tiny_polyp)
+    assert set(run.attributes) == {"lesion", "region"}
+    assert np.array_equal(run.attributes["lesion"], surface.lesion)
+    assert np.array_equal(run.attributes["region"], surface.region)
+    assert np.array_equal(run.label == 1, run.attributes["lesion"] >= 0.5)
+
+
+def test_ring_is_a_closed_line_of_an_obj_file(polyp_run, tiny_polyp):
+    lines = (polyp_run[0] / "base.obj").read_text().splitlines()
+    points = np.array([line.split()[1:] for line in lines if line[0] == "v"], float)
+    assert np.array_equal(points, lesion_surface(tiny_polyp).ring)
+    (element,) = [line for line in lines if line[0] == "l"]
+    assert element.split()[1:] == [*map(str, range(1, len(points) + 1)), "1"]
+
+
+def test_report_tells_ring_and_areas(polyp_run):
+    surface = polyp_run[1]["surface"]
+    assert surface["ring_mm"] > 0
+    assert surface["rings"] >= 1
+    assert surface["area_mm2"]["base"] > 0
+    assert "rim" not in surface
+    assert "refined" not in surface
+
+
+def test_finished_surfaces_are_written_if_asked(finished_run, tiny_polyp):
+    folder, report = finished_run
+    names = {file.name for file in folder.iterdir()}
+    assert {"refined.ply", "refined.glb", "organ.glb", "base.obj"} <= names
+    assert "refined.obj" not in names
+    cut = lesion_surface(tiny_polyp, rim=True)
+    assert np.array_equal(read_run(folder).vertices, cut.vertices)
+    assert report["surface"]["rim"]["worst_triangle"] > 0.2
+    refined = report["surface"]["refined"]
+    assert refined["refused"] is None
+    mesh = trimesh.load_mesh(folder / "refined.ply", process=False)
+    assert len(mesh.faces) == refined["triangles"] > report["surface"]["triangles"]
+    assert mesh.is_watertight
+    assert report["audit"]["clean"] is True
+
+
+def test_surface_that_cannot_be_subdivided_is_told(tiny_polyp, tmp_path, monkeypatch):
+    def fail(*_):
+        raise RefinementError("the surface subdivided 1 times has defects")
+
+    monkeypatch.setattr(LesionSurface, "refine", fail)
+    report = write_run(tiny_polyp, tmp_path, refine=1)
+    assert "has defects" in report["surface"]["refined"]["refused"]
+    assert not (tmp_path / "refined.ply").exists()
+    assert (tmp_path / "organ.ply").exists()
+
+
+def test_too_many_levels_are_refused_before_anything_is_written(tiny_polyp, tmp_path):
+    with pytest.raises(ValueError, match=r"refine is 5; ask for 0 \(none\) to 4"):
+        write_run(tiny_polyp, tmp_path / "run", refine=5)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_particles_come_back_bit_for_bit(polyp_run, tiny_polyp):
@@ -151,6 +217,7 @@ def test_free_cluster_has_no_organ_file(free_run):
         "report.json",
     }
     assert report["request"]["scene"]["organ"] is None
+    assert report["surface"] is None
     assert read_run(folder).vertices is None
     assert audit_run(folder).clean
 

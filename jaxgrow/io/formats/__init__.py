@@ -1,0 +1,1 @@
+"""Mesh file formats: one file each, and the registry that names them."""
