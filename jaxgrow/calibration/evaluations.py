@@ -16,13 +16,13 @@ from jaxgrow.energy.parameters import Parameters
 from jaxgrow.growth.events import Events
 from jaxgrow.growth.grow import grow
 from jaxgrow.growth.result import Growth
-from jaxgrow.metrics import shape_metrics
+from jaxgrow.metrics import measure
 from jaxgrow.runtime.atomic_file import write_atomically
 from jaxgrow.runtime.results import Result
-from jaxgrow.scene.scene import Lesion, Scene
+from jaxgrow.scene.scene import Scene
 
 
-FORMAT = 1
+FORMAT = 2
 """Version of the file's format, raised when an entry changes its meaning or place."""
 
 Values = tuple[float, ...]
@@ -135,8 +135,9 @@ class LesionGrower:
         )
 
     def _metrics(self, growth: Growth) -> Float[Array, " t"]:
-        shape = shape_metrics(growth.state, smoothing=self._task.fit.smoothing)
-        return jnp.stack([getattr(shape, name) for name in self._task.targets])
+        fit, names = self._task.fit, self._task.targets
+        found = measure(growth.state, names, smoothing=fit.smoothing)
+        return jnp.stack([found[name] for name in names])
 
 
 class Growths:
@@ -228,7 +229,6 @@ def read_fit(file: Path, request: dict[str, Any]) -> dict[str, Any]:
     content = _read(file)
     # as JSON returns it: lists for tuples
     found, wanted = content["request"], json.loads(json.dumps(request))
-    found = _with_later_entries(found, wanted)
     asked, asking = ({**each, "versions": None} for each in (found, wanted))
     other = _first_difference(asked, asking)
     if other is not None:
@@ -238,24 +238,6 @@ def read_fit(file: Path, request: dict[str, Any]) -> dict[str, Any]:
         )
     _check_versions(file.parent, found.get("versions", {}), wanted.get("versions", {}))
     return content
-
-
-_LATER = ("divisions_per_step",)
-"""Entries of a lesion that the first files lack; they had its default."""
-
-
-def _with_later_entries(
-    found: dict[str, Any], wanted: dict[str, Any]
-) -> dict[str, Any]:
-    """Add the entries to a stored request that did not exist at its time."""
-    scene = found.get("scene")
-    if not (isinstance(scene, dict) and isinstance(scene.get("lesion"), dict)):
-        return found
-    default = {name: Lesion.model_fields[name].default for name in _LATER}
-    entries = {**default, **scene["lesion"]}
-    order = [name for name in wanted["scene"]["lesion"] if name in entries]
-    lesion = {name: entries.pop(name) for name in order} | entries
-    return {**found, "scene": {**scene, "lesion": lesion}}
 
 
 def _read(file: Path) -> dict[str, Any]:

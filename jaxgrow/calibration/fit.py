@@ -21,7 +21,7 @@ from jaxgrow.calibration.search import FURTHEST, search, Tried
 from jaxgrow.calibration.spec import Bounds, FitError, make_task, Target, Task
 from jaxgrow.calibration.uncertainty import achieved_targets, fitted_parameters
 from jaxgrow.io.report import FITTING, named, versions
-from jaxgrow.organ import Organ
+from jaxgrow.organ import make_organ, Organ, ORGANS
 from jaxgrow.scene.scene import Scene
 
 
@@ -54,7 +54,8 @@ def fit(
 
     Args:
         scene: the scene to grow. Its parameters apply unless fitted.
-        targets: of metrics (`jaxgrow.metrics.shape.ShapeMetrics`), by their names;
+        targets: of metrics (`jaxgrow.metrics.shape.ShapeMetrics`, or those that
+            `jaxgrow.register_metric` added), by their names;
             a pair is value and uncertainty.
         parameters: to be fitted, by their names; a pair is low and high.
         folder: of an earlier fit to continue, or of a new one: the growths are stored
@@ -176,6 +177,8 @@ def _identity(organ: Organ | Path | str | None) -> str | None:
     """Return the built-in organ's name, or a name with the digest of a mesh."""
     if organ is None or organ == "uterus":
         return organ if isinstance(organ, str) else None
+    if isinstance(organ, str) and organ in ORGANS:
+        organ = make_organ(organ)
     digest = hashlib.sha256()
     if isinstance(organ, Organ):
         for array in (organ.vertices, organ.faces):

@@ -21,7 +21,7 @@ from jaxgrow.calibration.outcome import Fit
 from jaxgrow.calibration.plot import draw_fit
 from jaxgrow.calibration.spec import FitError
 from jaxgrow.io.report import named
-from jaxgrow.organ import Organ
+from jaxgrow.organ import Organ, ORGANS
 from jaxgrow.runtime.atomic_file import write_atomically
 from jaxgrow.scene.scene import Scene
 
@@ -82,7 +82,7 @@ def write_folder(fit: Fit, growths: Growths, folder: Path) -> None:
 def scene_toml(scene: Scene, folder: Path) -> str:
     """Format a scene as TOML for `jaxgrow.load_scene`, relative to a folder."""
     organ = scene.organ
-    if organ not in (None, "uterus"):
+    if organ is not None and organ not in ORGANS:
         organ = os.path.relpath(str(organ), folder)
     entries: dict[str, Any] = {} if organ is None else {"organ": organ}
     entries |= {"unit_mm": scene.unit_mm, "tissue": scene.tissue}

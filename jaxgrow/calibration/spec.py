@@ -4,7 +4,7 @@ As a TOML file:
 
 .. code-block:: toml
 
-    [targets]                       # any of `jaxgrow.metrics.shape.ShapeMetrics`
+    [targets]                       # any of `jaxgrow.metrics.metric_names()`
     height_to_width = {value = 1.8, uncertainty = 0.2}
     neck_to_width = [0.4, 0.1]      # the same, shorter
 
@@ -27,14 +27,13 @@ import pydantic
 from pydantic_core import PydanticCustomError
 
 from jaxgrow.energy.parameters import Parameters
-from jaxgrow.metrics import ShapeMetrics
+from jaxgrow.metrics import metric_names
 from jaxgrow.runtime.entries import check_names, Positive, read_toml, validated
 
 
 Finite: TypeAlias = Annotated[float, pydantic.Field(allow_inf_nan=False)]
 Seed: TypeAlias = Annotated[int, pydantic.Field(ge=0)]
 
-METRICS = tuple(field.name for field in dataclasses.fields(ShapeMetrics))
 PARAMETERS = tuple(field.name for field in dataclasses.fields(Parameters))
 
 _SEEDS = "whole numbers, for example [0, 1, 2]"
@@ -162,7 +161,7 @@ class Task(_Model):
     @pydantic.field_validator("targets", mode="before")
     @classmethod
     def _known_metrics(cls, given: Any) -> Any:
-        return _all_known(given, METRICS, '{"height_mm": [9.0, 0.5]}')
+        return _all_known(given, metric_names(), '{"height_mm": [9.0, 0.5]}')
 
     @pydantic.field_validator("parameters", mode="before")
     @classmethod

@@ -44,13 +44,6 @@ class _Tissue(enum.StrEnum):
     inside = "inside"
 
 
-class _Format(enum.StrEnum):
-    ply = "ply"
-    obj = "obj"
-    stl = "stl"
-    glb = "glb"
-
-
 class _Refusal(typer.TyperException):
     """Error in the input; its message is one sentence."""
 
@@ -99,6 +92,18 @@ def _show_version(wanted: bool | None) -> None:
 
         typer.echo(f"jaxgrow {jaxgrow.__version__}")
         raise typer.Exit
+
+
+def _registered(names: list[str] | None) -> list[str]:
+    """Return names of formats; refuse one that is not registered."""
+    if names:
+        from jaxgrow.io.formats.registry import check_formats
+
+        try:
+            check_formats(names)
+        except ValueError as error:
+            raise typer.BadParameter(str(error)) from error
+    return names or []
 
 
 @app.callback()
@@ -156,10 +161,28 @@ def grow(
         float | None,
         typer.Option(metavar="S", help="Stop after so long, between two divisions."),
     ] = None,
-    kinds: Annotated[
-        list[_Format] | None,
-        typer.Option("--format", help="Also write the organ so; may be repeated."),
+    formats: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--format",
+            metavar="obj|stl|glb|…",
+            help="Also write the organ so; may be repeated.",
+            callback=_registered,
+        ),
     ] = None,
+    rim: Annotated[
+        bool,
+        typer.Option("--rim", help="Bound the lesion by a smooth line of edges."),
+    ] = False,
+    refine: Annotated[
+        int,
+        typer.Option(
+            metavar="L",
+            min=0,
+            max=4,
+            help="Also write refined.ply: the lesion subdivided L times, smoothly.",
+        ),
+    ] = 0,
     unit_mm: Annotated[
         float | None,
         typer.Option(metavar="U", help="One unit of the organ's file, in mm."),
@@ -203,8 +226,8 @@ def grow(
             max_seconds=max_seconds,
             progress=display,
         )
-        formats = [kind.value for kind in kinds or ()]
-        report = run_folder.write_run(growth, out, formats)
+        given = formats or ()
+        report = run_folder.write_run(growth, out, given, rim=rim, refine=refine)
     _conclude(growth, report, out, time.perf_counter() - started)
 
 
@@ -219,6 +242,10 @@ def _conclude(
     if not growth.result.success:
         reason = growth.result.sentence
         _say(f"{out} holds only a {describe(growth)}: {_lowered(reason)}")
+        raise typer.Exit(UNSUCCESSFUL)
+    refined = (report["surface"] or {}).get("refined") or {}
+    if refined.get("refused"):
+        _say(f"{out} has no refined.ply: {refined['refused']}")
         raise typer.Exit(UNSUCCESSFUL)
     if not report["audit"]["clean"]:
         _say(f"the result in {out} has defects; see: jaxgrow audit {out}")
@@ -293,9 +320,9 @@ def sites(
 ) -> None:
     """List an organ's named sites, and the depth of the lumen there (mm)."""
     with _refusals():
-        from jaxgrow.organ import load_organ, locate_site, room, uterus
+        from jaxgrow.organ import load_organ, locate_site, make_organ, ORGANS, room
 
-        found = uterus() if organ == "uterus" else load_organ(organ)
+        found = make_organ(organ) if organ in ORGANS else load_organ(organ)
         if not found.sites:
             raise _Refusal(f"{found.name} has no named sites; give X,Y,Z in mm.")
         for name in found.sites:

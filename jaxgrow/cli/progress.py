@@ -86,7 +86,12 @@ def describe(progress: Progress, seconds_left: float | None) -> str:
     else:
         divisions = f"{progress.divisions} divisions"
         size = f"{progress.size_mm:.1f} of {progress.target_mm:g} mm"
-    parts = [divisions, size, f"residual {progress.residual:.0e}"]
+    parts = [
+        divisions,
+        size,
+        f"{progress.share:.0%}",
+        f"residual {progress.residual:.0e}",
+    ]
     if seconds_left is not None:
         parts.append(f"{clock(seconds_left)} left")
     return ", ".join(parts)
@@ -112,11 +117,7 @@ class _Way:
         self._trail: list[tuple[float, float]] = []
 
     def add(self, progress: Progress) -> float:
-        if progress.target_mm is None:
-            share = progress.divisions / (progress.target_divisions or 1)
-        else:
-            share = progress.size_mm / progress.target_mm
-        share = min(max(share, 0.0), 1.0)
+        share = min(max(progress.share, 0.0), 1.0)
         self._trail.append((share, progress.seconds))
         return share
 

@@ -13,7 +13,7 @@ from typing import Any
 import jax
 
 from jaxgrow.energy.parameters import Parameters
-from jaxgrow.ensemble.worker_pool import borrow, give_back, quiet
+from jaxgrow.ensemble.worker_pool import borrow, ENDING_SECONDS, give_back, quiet
 from jaxgrow.equilibrium.transformations import is_differentiated
 from jaxgrow.growth.events import numbers
 from jaxgrow.growth.grow import grow
@@ -92,16 +92,16 @@ def grow_many(
         return tuple(_told(_grow(scene, *m, options), finished) for m in members)
     others = borrow(min(processes, len(members)) - 1)
     shared = _Shared(members, finished)
+    threads = [
+        Thread(
+            target=shared.hand_out,
+            args=(shared.waiting.popleft(), others.pool, scene, options),
+            daemon=True,
+        )
+        for _ in range(others.count)
+    ]
     try:
         with quiet():
-            threads = [
-                Thread(
-                    target=shared.hand_out,
-                    args=(shared.waiting.popleft(), others.pool, scene, options),
-                    daemon=True,
-                )
-                for _ in range(others.count)
-            ]
             for thread in threads:
                 thread.start()
             # this process grows members too, and checks on the workers after every
@@ -115,6 +115,10 @@ def grow_many(
     except BaseException as error:
         shared.waiting.clear()
         others.end()
+        # a thread that still ran as Python exits could leave a semaphore of the pool
+        for thread in threads:
+            if thread.ident is not None:
+                thread.join(ENDING_SECONDS)
         if isinstance(error, BrokenProcessPool):
             raise RuntimeError(others.why_broken()) from error
         raise

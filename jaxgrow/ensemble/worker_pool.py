@@ -14,7 +14,7 @@ from multiprocessing import get_context, parent_process
 from multiprocessing.synchronize import Event
 from pathlib import Path
 from threading import Lock, Thread, Timer
-from typing import Any
+from typing import Any, cast
 
 import jax
 
@@ -23,6 +23,9 @@ from jaxgrow.runtime.compile_cache import keep_programs
 
 KEPT_SECONDS = 300.0
 """Seconds that idle workers are kept."""
+
+ENDING_SECONDS = 10.0
+"""Longest wait for a thread of a pool that ends."""
 
 _SETTINGS = (
     "jax_enable_x64",
@@ -64,11 +67,14 @@ class Processes:
         supported.
         """
         processes = list((self.pool._processes or {}).values())
+        manager = cast(Thread | None, self.pool._executor_manager_thread)
         self.pool.shutdown(wait=False, cancel_futures=True)
         for process in processes:
             process.terminate()
         for process in processes:
             process.join()
+        if manager is not None:
+            manager.join(ENDING_SECONDS)
 
     def why_broken(self) -> str:
         """Return the message for a worker that exited."""

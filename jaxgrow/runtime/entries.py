@@ -2,7 +2,7 @@
 
 import difflib
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, get_args, TypeAlias, TypeVar
 
@@ -10,6 +10,9 @@ import pydantic
 
 
 Positive: TypeAlias = Annotated[float, pydantic.Field(gt=0, allow_inf_nan=False)]
+
+UNKNOWN_KIND = "unknown_kind"
+"""Type of the error of a table whose kind is unknown."""
 
 _Model = TypeVar("_Model", bound=pydantic.BaseModel)
 
@@ -49,6 +52,7 @@ def validated(
     *,
     source: str,
     error: type[ValueError],
+    tables: Mapping[str, type[pydantic.BaseModel]] | None = None,
 ) -> _Model:
     """Validate nested entries, and make a model of them.
 
@@ -57,6 +61,7 @@ def validated(
         entries: as TOML has them.
         source: where they come from, for the message.
         error: the class to raise.
+        tables: models of tables that are more than their fields' annotations say.
 
     Raises:
         ValueError: an `error` that names every wrong entry with what is wanted.
@@ -64,7 +69,9 @@ def validated(
     try:
         return model(**entries)
     except pydantic.ValidationError as cause:
-        problems = "; ".join(_explain(problem, model) for problem in cause.errors())
+        own = {name: field.annotation for name, field in model.model_fields.items()}
+        own |= tables or {}
+        problems = "; ".join(_explain(each, model, own) for each in cause.errors())
         raise error(f"{source}: {problems}.") from cause
 
 
@@ -89,17 +96,18 @@ def _reason(cause: OSError | ValueError) -> str:
     return f"is not valid TOML: {cause}"
 
 
-def _explain(problem: Any, model: type[pydantic.BaseModel]) -> str:
+def _explain(
+    problem: Any, model: type[pydantic.BaseModel], tables: Mapping[str, Any]
+) -> str:
     """Describe one validation error: its entry, what came, what is wanted."""
     location = [str(part) for part in problem["loc"]]
-    where = ".".join(_keys(model, location))
+    where = ".".join(location)
     if problem["type"] == "missing":
         return f"{where} is missing"
     if problem["type"] == "extra_forbidden":
-        return _unknown(where, location[-1], _table(model, location).model_fields)
-    if problem["type"] == "union_tag_invalid":
-        tag = problem["ctx"]
-        return f"{where}.kind is {tag['tag']!r}; known are {tag['expected_tags']}"
+        return _unknown(where, location[-1], _fields(model, location, tables))
+    if problem["type"] == UNKNOWN_KIND:
+        return f"{where} is {problem['input']!r}; {problem['msg']}"
     if problem["type"] == "too_short" and not problem["input"]:
         return f"{where} is empty"
     if problem["type"] == "value_error":
@@ -110,27 +118,13 @@ def _explain(problem: Any, model: type[pydantic.BaseModel]) -> str:
     return f"{where} is {problem['input']!r}: {message}"
 
 
-def _keys(model: type[pydantic.BaseModel], location: list[str]) -> list[str]:
-    """Convert a location of pydantic into the keys of the file.
-
-    Pydantic inserts the kind of a table.
-    """
-    if len(location) > 1 and model.model_fields[location[0]].discriminator:
-        return [location[0], *location[2:]]
-    return location
-
-
-def _table(
-    model: type[pydantic.BaseModel], location: list[str]
-) -> type[pydantic.BaseModel]:
-    """Find the model of the table that an entry is in."""
+def _fields(
+    model: type[pydantic.BaseModel], location: list[str], tables: Mapping[str, Any]
+) -> Iterable[str]:
+    """Return the names that the table of an entry knows."""
     if len(location) == 1:
-        return model
-    field = model.model_fields[location[0]]
-    tables = _models(field.annotation)
-    if isinstance(kind := field.discriminator, str):
-        return next(t for t in tables if t.model_fields[kind].default == location[1])
-    return tables[0]
+        return model.model_fields
+    return _models(tables[location[0]])[0].model_fields
 
 
 def _models(annotation: Any) -> list[type[pydantic.BaseModel]]:

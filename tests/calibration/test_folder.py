@@ -46,7 +46,7 @@ def test_a_folder_holds_growths_scene_and_plot(whole):
     assert kept["outcome"] == "REACHED"
     scene = load_scene(whole / "fitted.toml")
     value = kept["parameters"]["spring_stiffness"]["value"]
-    assert scene == Scene(parameters=Parameters(spring_stiffness=value))
+    assert scene == Scene(parameters={"spring_stiffness": value})
     with Image.open(whole / "fit.png") as picture:
         assert picture.size == (1000, 420)  # its marks: test_chart
 
@@ -134,7 +134,7 @@ def change(folder, **entries):
 
 def test_a_file_of_another_format_is_refused(whole, formula):
     change(whole, format=7, growths="of another kind")
-    with pytest.raises(FitError, match=r"has format 7, and this .* reads 1; go on"):
+    with pytest.raises(FitError, match=r"has format 7, and this .* reads 2; go on"):
         run(formula(), whole)
 
 
@@ -160,28 +160,12 @@ def test_growths_of_other_versions_are_refused(whole, formula):
     )
 
 
-def written_before_steps_had_several_divisions(folder):
-    """Take the entry of that out of a fit's file."""
-    request = change(folder)["request"]
-    lesion = request["scene"]["lesion"]
-    assert lesion.pop("divisions_per_step") == 1
-    change(folder, request=request)
-
-
-def test_a_file_from_before_a_step_had_several_divisions_goes_on(whole, formula):
-    before = outcome(whole)
-    written_before_steps_had_several_divisions(whole)
-    again = formula(0.3)
-    run(again, whole)
-    assert again.asked == []
-    assert outcome(whole) == before
-
-
-def test_a_file_from_before_a_step_had_several_divisions_had_one(whole, formula):
-    written_before_steps_had_several_divisions(whole)
-    scene = Scene(lesion=Polyp(divisions_per_step=2))
-    with pytest.raises(FitError, match=r"another .*divisions_per_step; give"):
-        fit(scene, TARGETS, BOUNDS, grower=formula(), folder=whole)
+def test_a_file_from_before_polyps_had_a_focus_is_another_one(whole, formula):
+    request = change(whole)["request"]
+    del request["scene"]["lesion"]["focus_mm"]
+    change(whole, request=request)
+    with pytest.raises(FitError, match="with another focus_mm; give"):
+        run(formula(), whole)
 
 
 @pytest.mark.parametrize("request_of", [{}, {"scene": 3}, {"scene": {"lesion": 3}}])

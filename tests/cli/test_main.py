@@ -74,6 +74,7 @@ def test_grow_writes_a_run(grown):
     assert names == {
         "organ.ply",
         "organ.obj",
+        "base.obj",
         "particles.ply",
         "growth.png",
         "report.json",
@@ -89,6 +90,27 @@ def test_grow_tells_what_it_made(tiny, out, capsys):
     assert f"{out}: polyp of " in output.out
     assert "fundus of uterus, 3 divisions" in output.out
     assert "3 of 3 divisions" in output.err
+
+
+def test_rim_and_refinement_are_written_if_asked(tiny, out):
+    assert main(["grow", tiny, "--out", str(out), "--rim", "--refine", "1"]) == 0
+    assert (out / "refined.ply").is_file()
+    surface = json.loads((out / "report.json").read_text())["surface"]
+    assert surface["rim"]["worst_triangle"] > 0
+    assert surface["refined"]["triangles"] > surface["triangles"]
+
+
+def test_surface_that_cannot_be_subdivided_is_status_1(tiny, out, capsys, monkeypatch):
+    from jaxgrow.io.lesion_surface import LesionSurface, RefinementError
+
+    def fail(*_):
+        raise RefinementError("the surface subdivided 1 times has defects")
+
+    monkeypatch.setattr(LesionSurface, "refine", fail)
+    assert main(["grow", tiny, "--out", str(out), "--refine", "1"]) == 1
+    message = capsys.readouterr().err.splitlines()[-1]
+    assert message.startswith(f"jaxgrow: {out} has no refined.ply: the surface")
+    assert (out / "organ.ply").is_file()
 
 
 def test_same_seed_gives_the_same_file(tiny, out, grown):
@@ -157,10 +179,11 @@ def test_help_is_shown_without_arguments(capsys):
             "lesion.kind is 'polp'; known are 'polyp', 'myoma'",
         ),
         (["grow", "--out", "x", "--tissue", "up"], "'up' is not one of 'outside'"),
-        (["grow", "--out", "x", "--format", "xyz"], "'xyz' is not one of 'ply'"),
+        (["grow", "--out", "x", "--format", "xyz"], "'xyz' is unknown; use ply"),
         (["grow", "--out", "x", "--size-mm", "big"], "Invalid value for '--size-mm'"),
         (["grow", "--out", "x", "--seed", "-1"], "Invalid value for '--seed'"),
         (["grow", "--out", "x", "--seed", "1.5"], "Invalid value for '--seed'"),
+        (["grow", "--out", "x", "--refine", "5"], "Invalid value for '--refine'"),
         (["grow", "--out", "x", "a.toml", "b.toml"], "unexpected extra argument"),
         (["audit"], "Missing argument 'DIR'"),
     ],

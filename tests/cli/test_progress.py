@@ -10,7 +10,7 @@ from jaxgrow.growth.progress import Progress
 
 
 def _by_size(size, seconds, divisions=0):
-    return Progress(divisions, size, 10.0, None, 4e-4, seconds)
+    return Progress(divisions, size, 10.0, None, size / 10, 4e-4, seconds)
 
 
 def _shown(states, **terminal):
@@ -23,12 +23,12 @@ def _shown(states, **terminal):
 
 def test_line_tells_divisions_size_residual_and_time_left():
     text = describe(_by_size(2.5, 3.0, 17), 75.0)
-    assert text == "17 divisions, 2.5 of 10 mm, residual 4e-04, 1:15 left"
+    assert text == "17 divisions, 2.5 of 10 mm, 25%, residual 4e-04, 1:15 left"
 
 
 def test_line_tells_divisions_of_divisions():
-    text = describe(Progress(3, 2.0, None, 12, 4e-4, 1.0), None)
-    assert text == "3 of 12 divisions, 2.0 mm, residual 4e-04"
+    text = describe(Progress(3, 2.0, None, 12, 0.25, 4e-4, 1.0), None)
+    assert text == "3 of 12 divisions, 2.0 mm, 25%, residual 4e-04"
 
 
 @pytest.mark.parametrize(
