@@ -151,10 +151,10 @@ plt.show()
 # ## Another law
 #
 # One parameter is changed, everything else stays: the springs of the surface become
-# four times as stiff. The polyp becomes as wide, but flatter.
+# four times as stiff. The polyp takes more divisions, and its neck becomes wider.
 
 # %%
-stiff = jg.Parameters(spring_stiffness=4 * scene.parameters.spring_stiffness)
+stiff = {"spring_stiffness": 4 * scene.parameters.spring_stiffness}
 stiff_growth = jg.grow(scene, seed=0, tolerance=1e-2, parameters=stiff)
 stiff_shape = vars(jg.shape_metrics(stiff_growth.state))
 print(f"{'':>22}  {'default':>8}  {'stiff':>8}")

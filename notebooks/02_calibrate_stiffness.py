@@ -39,13 +39,15 @@ folder = Path(scratch.name)
 # %% [markdown]
 # ## A shape in numbers
 #
-# Eight divisions at the fundus of the built-in uterus, on a small patch.
-# `shape_metrics` measures the lesion; with `smoothing` its extreme values become smooth
-# functions, each length at most so many particle diameters off, and differentiable.
+# 24 divisions at the fundus of the built-in uterus, on a small patch, under a lining
+# that bends easily. `shape_metrics` measures the lesion; with `smoothing` its extreme
+# values become smooth functions, each length at most so many particle diameters off,
+# and differentiable.
 
 # %%
 scene = jg.Scene(
-    lesion=jg.Polyp(divisions=8, particle_mm=1.5),
+    lesion=jg.Polyp(divisions=24, particle_mm=1.5),
+    parameters={"bending_stiffness": 0.003},
     surroundings=jg.Surroundings(radius=4),
 )
 
@@ -76,7 +78,7 @@ for seed, growth in enumerate(growths):
 
 # %%
 def height(stiffness, growth):
-    parameters = jg.Parameters(spring_stiffness=stiffness)
+    parameters = {"spring_stiffness": stiffness}
     again = jg.grow(scene, parameters=parameters, events=growth.events, tolerance=1e-13)
     return shape(again).height_mm
 
@@ -94,13 +96,14 @@ for slope, growth in zip(slopes, growths, strict=False):
 # The derivative is that of a growth whose choices are frozen. Grown anew, a lesion with
 # another stiffness chooses otherwise: other edges are split, other packings are taken.
 # Single lesions scatter, and their mean need not fall as the mean of the frozen paths
-# says; `experiments/gradient_quality.py` measures that with more and larger lesions.
+# says; `experiments/studies/gradient_quality.py` measures that with more and larger
+# lesions.
 
 # %%
 values = 0.04 * 3.0 ** np.array([-1, 0, 1])
 heights = np.zeros((len(values), 3))
 for row, value in zip(heights, values, strict=True):
-    parameters = jg.Parameters(spring_stiffness=float(value))
+    parameters = {"spring_stiffness": float(value)}
     for seed in range(len(row)):
         row[seed] = shape(jg.grow(scene, seed=seed, parameters=parameters)).height_mm
 change = np.log(values / 0.04)
@@ -148,7 +151,7 @@ print(found.outcome.value)
 # The uncertainty has two parts: what the targets leave open, and what so few seeds do.
 # The targets were the means of four lesions with a stiffness of 0.04, and four such
 # tiny lesions may well look like those of half or twice the stiffness. Larger lesions,
-# and more of them, determine it to some per cent: `experiments/calibration.py`.
+# and more of them, determine it to some per cent: `experiments/studies/calibration.py`.
 
 # %%
 stiffness = found.parameters["spring_stiffness"]

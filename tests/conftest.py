@@ -1,5 +1,6 @@
 """What every test runs under: 64 bits, strict promotion, compiled programs on disk."""
 
+import inspect
 import os
 from importlib.metadata import version
 from pathlib import Path
@@ -41,6 +42,29 @@ def few_programs():
 
 
 @pytest.fixture
+def registries():
+    """What is registered by name, as it was, afterwards."""
+    from jaxgrow.equilibrium.relaxers import RELAXERS
+    from jaxgrow.io.formats.registry import FORMATS
+    from jaxgrow.metrics.registry import METRICS
+    from jaxgrow.organ.registry import ORGANS
+    from jaxgrow.scene.scene import LESIONS
+
+    known = [FORMATS, LESIONS, METRICS, ORGANS, RELAXERS]
+    before = [dict(names) for names in known]
+    yield
+    for names, entries in zip(known, before, strict=True):
+        names.clear()
+        names.update(entries)
+
+
+@pytest.fixture
+def unchecked():
+    """A function without the type checker that tests run under, as users have it."""
+    return inspect.unwrap
+
+
+@pytest.fixture
 def key():
     return jax.random.key(0)
 
@@ -52,7 +76,7 @@ def tiny_polyp():
     from jaxgrow.lesions.polyp import Polyp
     from jaxgrow.scene.scene import Scene
 
-    return grow(Scene(lesion=Polyp(divisions=3)))
+    return grow(Scene(lesion=Polyp(divisions=3, divisions_per_step=1)))
 
 
 @pytest.fixture(scope="session")

@@ -1,30 +1,11 @@
 """Hard cases: each ends as expected, and with a valid state whatever the outcome.
 
-The cases are those of `experiments/hard`, which also writes the README's table.
+`experiments/studies/hard_cases.py` makes a table of the same cases.
 """
-
-import sys
-from importlib.util import module_from_spec, spec_from_file_location
-from pathlib import Path
 
 import pytest
 
-
-FOLDER = Path(__file__).parents[2] / "experiments" / "hard"
-
-
-def load():
-    """The package of the cases, which is not installed."""
-    spec = spec_from_file_location(
-        "hard", FOLDER / "__init__.py", submodule_search_locations=[str(FOLDER)]
-    )
-    module = module_from_spec(spec)
-    sys.modules["hard"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-hard = load()
+from . import cases as hard
 
 
 def marked(case):
