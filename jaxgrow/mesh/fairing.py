@@ -116,12 +116,12 @@ def refine(
     """Refine a coarse patch to the particles' scale, before particles exist.
 
     Subdivision passes with swaps between them, and a last subdivision that reaches the
-    bound: no triangle with an edge off the rim is over it at the end.
+    bound. Rim edges are never split, so beside one that is long against sqrt(max_area)
+    triangles stay larger: they are graded to the organ's edges
+    (`jaxgrow.mesh.subdivide`).
 
     It terminates: swaps follow only as many passes as the largest triangle needs to get
-    under the bound, and every later pass halves the triangles over it. Rim edges are
-    never split, so the triangles at a rim edge that is long against sqrt(max_area)
-    become flat: cut the patch where its edges are short, or refine the whole organ.
+    under the bound, and every later pass halves the triangles over it.
 
     Args:
         surface: An oriented manifold with or without rim.

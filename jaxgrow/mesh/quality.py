@@ -6,6 +6,11 @@ import numpy as np
 from jaxtyping import Float
 
 
+SLIVER = 0.15
+"""Radius ratio below which a triangle is a sliver: none is made by subdivision, and
+those that arise are repaired."""
+
+
 def area_vectors(triangles: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
     """Return half the cross product of two sides: unit normal times area."""
     a, b, c = triangles[:, 0].T, triangles[:, 1].T, triangles[:, 2].T

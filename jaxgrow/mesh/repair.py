@@ -41,16 +41,20 @@ from jaxgrow.mesh.collapse import collapse_edges, common_neighbours
 from jaxgrow.mesh.collapse_ends import collapsing_stars, Ends
 from jaxgrow.mesh.intersection_guard import Crossing
 from jaxgrow.mesh.particle_guard import Guard, Patches
-from jaxgrow.mesh.quality import area_vectors, lengths, radius_ratio, side_lengths, unit
+from jaxgrow.mesh.quality import (
+    area_vectors,
+    lengths,
+    radius_ratio,
+    side_lengths,
+    SLIVER,
+    unit,
+)
 from jaxgrow.mesh.surface import Remeshing, Surface
 from jaxgrow.mesh.topology import build_topology, group, Topology
 
 
 CREASE = np.deg2rad(120.0)
 """Angle between the normals of neighbours above which they make a pleat (radians)."""
-
-SLIVER = 0.15
-"""Radius ratio below which a triangle is to be repaired."""
 
 GAIN = 0.1
 """Least decrease of the sum of defects that is worth a repair (dimensionless)."""

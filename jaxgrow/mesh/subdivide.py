@@ -10,6 +10,11 @@ What the paper leaves open, and our choice:
 
 - *The rim.* Its edges belong to the rest of the organ too and are never split, so a
   large triangle with one rim edge is split in A-shape, with two in T-shape.
+- *Slivers at the rim.* Beside a rim edge that is long against √``max_area`` every
+  split halves the height of the triangle on it. A triangle whose longest side is on the
+  rim is not cut if a part would have a radius ratio below ``SLIVER``, and below that of
+  the whole; nor then one whose longest side that triangle keeps whole. They stay over
+  the area bound instead, and the patch is graded to the organ's edges.
 - *The diagonal of the A-shape*: the one with the larger sum of radius ratios.
 - *Long thin triangles* below the area bound: an edge longer than ``max_edge`` is split
   too (T-shape on both sides) if no side of its two triangles is longer. The latter is
@@ -26,7 +31,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxgrow.mesh.quality import areas, radius_ratio, side_lengths
+from jaxgrow.mesh.quality import areas, radius_ratio, side_lengths, SLIVER
 from jaxgrow.mesh.surface import average_parents, Remeshing, Surface
 from jaxgrow.mesh.topology import build_topology, Topology
 
@@ -37,7 +42,7 @@ def subdivide(
     """Split the triangles over the area bound once, and close neighbours.
 
     Every triangle over the bound is cut into parts of at most half its area, as long
-    as one of its edges is not on the rim.
+    as one of its edges is not on the rim, and it does not become a sliver there.
 
     Args:
         surface: An oriented manifold with or without rim.
@@ -59,7 +64,7 @@ def subdivide(
     marked[topology.face_edges[large]] = True
     if sides is not None:
         marked |= _long_edges(topology, sides, max_edge)
-    marked &= topology.interior
+    marked = _without_slivers(surface, topology, marked)
     if not marked.any():
         return surface, Remeshing.unchanged(surface, none)
     return split_edges(surface, topology, marked)
@@ -70,7 +75,7 @@ def subdivide_all(
 ) -> tuple[Surface, Remeshing]:
     """Repeat `subdivide` until no interior triangle is over the bound.
 
-    An interior triangle has an edge off the rim. Each pass at least halves the area of
+    An interior triangle has an edge off the rim, and no longest side on it. Each pass at least halves the area of
     a triangle over the bound, so it takes no more than ceil(log2(largest area /
     max_area)) passes for the area. Edges over the length bound are given as many passes
     and one more.
@@ -208,6 +213,38 @@ def _a_shape(
     pick = (np.sum(ratios[1], axis=0) > np.sum(ratios[0], axis=0))[:, None]
     halves = [np.where(pick, t, o) for o, t in zip(one, two, strict=True)]
     return np.concatenate([tip, *halves])
+
+
+def _without_slivers(
+    surface: Surface, topology: Topology, marked: Bool[np.ndarray, " e"]
+) -> Bool[np.ndarray, " e"]:
+    """Remove the marks of triangles that would become slivers on a whole side.
+
+    That is a longest side on the rim, or one whose mark is removed here: fewer marks
+    may change how the triangles beside are cut, so it is done again until there is no
+    such triangle.
+    """
+    vertices, faces = surface.vertices, surface.faces
+    whole = np.minimum(radius_ratio(vertices[faces]), SLIVER)
+    places = np.concatenate([vertices, vertices[topology.edges].mean(axis=1)])
+    longest = np.argmax(side_lengths(vertices[faces]), axis=1)
+    base = topology.face_edges[np.arange(len(faces)), longest]
+    closed = ~topology.interior
+    while (marked & ~closed).any():
+        there = (marked & ~closed)[topology.face_edges]
+        new = np.where(there, len(vertices) + topology.face_edges, -1)
+        count = there.sum(axis=1)
+        of = [np.flatnonzero(count == k) for k in (0, 3, 2, 1)]
+        owner = np.concatenate(
+            [np.tile(some, parts) for some, parts in zip(of, (1, 4, 3, 2), strict=True)]
+        )
+        thin = radius_ratio(places[split_faces(places, faces, new)])
+        bad = owner[thin < whole[owner] * (1 - 1e-9)]
+        bad = bad[closed[base[bad]]]
+        if not len(bad):
+            break
+        closed[topology.face_edges[bad]] = True
+    return marked & ~closed
 
 
 def _long_edges(

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from jaxgrow.mesh.fairing import refine
-from jaxgrow.mesh.quality import areas, radius_ratio, side_lengths
+from jaxgrow.mesh.quality import areas, radius_ratio, side_lengths, SLIVER
 from jaxgrow.mesh.subdivide import subdivide, subdivide_all
 from jaxgrow.mesh.surface import Surface
 from jaxgrow.mesh.topology import build_topology, euler_number, is_manifold
@@ -126,12 +126,26 @@ def test_a_long_edge_beside_a_longer_rim_edge_is_not_split():
 
 
 @settings(max_examples=40, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1), bound=st.floats(0.05, 2.0))
+@given(seed=st.integers(0, 2**32 - 1), bound=st.floats(0.4, 2.0))
 def test_after_subdivision_every_area_is_within_the_bound(grid, seed, bound):
     before = grid(5, 1.3, np.random.default_rng(seed), 0.3)
     after, done = subdivide_all(before, bound)
     assert areas(after.vertices[after.faces]).max() <= bound
     assert np.array_equal(done.apply(before.vertices), after.vertices)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), bound=st.floats(0.002, 0.1))
+def test_beside_long_rim_edges_triangles_are_graded_and_not_thin(grid, seed, bound):
+    before = grid(5, 1.3, np.random.default_rng(seed), 0.3)
+    after, _ = refine(before, bound)
+    triangles = after.vertices[after.faces]
+    assert radius_ratio(triangles).min() >= 0.05
+    middle = before.vertices.mean(axis=0)
+    distance = np.linalg.norm((triangles.mean(axis=1) - middle)[:, :2], axis=1)
+    assert areas(triangles)[distance < 1.0].max() <= bound
+    largest = areas(triangles)[distance > 2.0].max()
+    assert bound < largest < 1.3**2 / 2
 
 
 @settings(max_examples=40, deadline=None)
@@ -152,7 +166,10 @@ def test_subdivision_never_opens_a_crack_and_keeps_the_shape(sphere, seed, bound
 def test_refinement_brings_a_coarse_patch_to_the_bound(grid):
     coarse = grid(3, 6.0)
     fine, done = refine(coarse, 0.7)
-    assert areas(fine.vertices[fine.faces]).max() <= 0.7
+    triangles = fine.vertices[fine.faces]
+    off = np.abs(triangles.mean(axis=1)[:, :2] - 9.0).max(axis=1)
+    assert areas(triangles)[off < 5.0].max() <= 0.7
+    assert radius_ratio(triangles).min() >= SLIVER
     assert euler_number(fine.faces) == 1
     assert np.array_equal(done.apply(coarse.vertices), fine.vertices)
     kept = done.origin()[fine.fixed]
@@ -162,8 +179,9 @@ def test_refinement_brings_a_coarse_patch_to_the_bound(grid):
 def test_refinement_ends_beside_a_very_long_rim_edge():
     vertices = np.array([[0.0, 0, 0], [200, 0, 0], [100, 3, 0], [100, -3, 0]])
     faces = np.array([[0, 1, 2], [1, 0, 3]])
+    before = radius_ratio(vertices[faces]).min()
     fine, _ = refine(Surface(vertices, faces, np.ones(4, dtype=bool)), 0.7)
-    assert areas(fine.vertices[fine.faces]).max() <= 0.7
+    assert radius_ratio(fine.vertices[fine.faces]).min() >= before * (1 - 1e-9)
 
 
 def test_refinement_refuses_a_bound_that_is_not_positive(grid):
