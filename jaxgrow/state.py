@@ -9,6 +9,8 @@ from dataclasses import fields
 from typing import Any, TypeVar
 
 import equinox as eqx
+import jax
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 
@@ -156,6 +158,17 @@ class State(eqx.Module):
     particles: Particles
     membrane: Membrane | None
     frame: Frame
+
+    def __repr__(self) -> str:
+        """Count particles, vertices and faces in one line, where there are values."""
+        for leaf in jax.tree.leaves(self):
+            if isinstance(leaf, Tracer) or not eqx.is_array(leaf):
+                return super().__repr__()
+        parts = [f"{int(self.particles.alive.sum())} particles"]
+        if self.membrane is not None:
+            parts.append(f"{int(self.membrane.vertex_alive.sum())} vertices")
+            parts.append(f"{int(self.membrane.face_alive.sum())} faces")
+        return f"State({', '.join(parts)})"
 
 
 class Nodes(eqx.Module):

@@ -19,7 +19,8 @@ requests    100 requests, drawn: both kinds, all sites, sizes as published
 plate       twelve lesions of different requests
 
 With ``--keep``, neck and plate also draw their lesions of one seed side by side, with
-their numbers, as ``results/shapes_STUDY.png``.
+their numbers, as ``results/shapes_STUDY.png``; resolution draws its metrics against the
+size of the particles.
 """
 
 import argparse
@@ -34,7 +35,7 @@ from typing import Any
 import jax
 import numpy as np
 from creases import crease_angles
-from PIL import Image, ImageDraw, ImageFont
+from shape_figures import draw_resolution, draw_side_by_side
 
 import jaxgrow as jg
 
@@ -199,29 +200,6 @@ def plate(seeds: int) -> Iterator[Request]:
     yield {"name": "myoma", "seed": seed, "lesion": lesion}
 
 
-def draw_side_by_side(rows: list[dict[str, Any]], keep: Path, to: Path) -> None:
-    """Draw the surface views of runs side by side."""
-    side, text = 480, 64
-    across = len(rows) if len(rows) < 6 else 4
-    down = -(-len(rows) // across)
-    whole = Image.new("RGB", (across * side, down * (side + text)), "white")
-    write = ImageDraw.Draw(whole)
-    font = ImageFont.load_default(19)
-    for k, row in enumerate(rows):
-        page = Image.open(keep / f"{row['name']}_{row['seed']}" / "growth.png")
-        view = page.convert("RGB").crop((0, 0, 900, 900)).resize((side, side))
-        x, y = k % across * side, k // across * (side + text)
-        whole.paste(view, (x, y))
-        shape = row["metrics"]
-        numbers = (
-            f"{row['name']}: {row['size_mm']:.1f} mm",
-            f"height/width {shape['height_to_width']:.2f}, "
-            f"neck/width {shape['neck_to_width']:.2f}",
-        )
-        write.text((x + 12, y + side + 6), "\n".join(numbers), "black", font)
-    whole.quantize(256).save(to, optimize=True)
-
-
 STUDIES: dict[str, Callable[[int], Iterator[Request]]] = {
     study.__name__: study
     for study in (
@@ -338,6 +316,8 @@ def main() -> None:
             one = [row for row in rows if row["seed"] == first]
             one.sort(key=lambda row: order.index(row["name"]))
             draw_side_by_side(one, given.keep, RESULTS / f"shapes_{study}.png")
+        if study == "resolution":
+            draw_resolution(rows, RESULTS / "shapes_resolution.png")
 
 
 if __name__ == "__main__":

@@ -333,6 +333,8 @@ def test_growth_and_metrics_show_themselves_in_a_line():
     growth = jg.grow(jg.Scene(organ=None, lesion=jg.Myoma(divisions=4)))
     assert repr(growth).startswith("Growth(myoma of 2")
     assert repr(growth).endswith("mm after 4 divisions, seed 0: REACHED)")
+    assert repr(growth.state) == "State(5 particles)"
+    assert "particles" in repr(jax.eval_shape(lambda: growth.state))
     metrics = jg.shape_metrics(growth.state)
     row = metrics.as_dict()
     assert json.loads(json.dumps(row["tumour_diameter_mm"])) > 1
