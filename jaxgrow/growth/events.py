@@ -81,6 +81,16 @@ class Event(NamedTuple):
         """Operations of the fairing; None without a membrane."""
         return self.equilibrium.remeshing
 
+    def __repr__(self) -> str:
+        """Count the choices in one line."""
+        counts = {
+            "divisions": len(self.divisions),
+            "enlargements": len(self.enlargements),
+            "foci": len(self.foci),
+        }
+        told = (f"{name}={count}" for name, count in counts.items() if count)
+        return f"Event({', '.join(told)})"
+
 
 class InitialRecord(NamedTuple):
     """Record of the initial state of a growth.
@@ -181,3 +191,10 @@ class Events(Sequence[Event]):
     def __iter__(self) -> Iterator[Event]:
         """Iterate over the events in their order."""
         return iter(self.steps)
+
+    def __repr__(self) -> str:
+        """Describe lesion, steps and result in one line."""
+        return (
+            f"Events({self.lesion} of {self.particle_mm:.3g} mm particles, {len(self)} "
+            f"steps, {self.divisions} divisions: {self.result.name})"
+        )

@@ -58,6 +58,14 @@ class LesionSurface:
     tissue: str
     remeshed: dict[str, Any] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        """Count vertices, faces and those of the lesion in one line."""
+        lesion = int(np.count_nonzero(self.label))
+        return (
+            f"LesionSurface({len(self.vertices)} vertices, {lesion} of them lesion, "
+            f"{len(self.faces)} faces)"
+        )
+
     @property
     def label(self) -> UInt8[np.ndarray, " m"]:
         """1 for vertices of the lesion, 0 for healthy ones."""

@@ -73,6 +73,12 @@ class Run:
     report: dict[str, Any]
     attributes: dict[str, np.ndarray] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        """Describe result, organ and particles in one line."""
+        vertices = 0 if self.vertices is None else len(self.vertices)
+        result = self.report.get("outcome", {}).get("result", "unknown")
+        return f"Run({result}, {vertices} vertices, {len(self.position)} particles)"
+
 
 def check_destination(directory: str | Path) -> None:
     """Raise, before a growth, if a run could not be written to a folder.

@@ -75,10 +75,10 @@ def subdivide_all(
 ) -> tuple[Surface, Remeshing]:
     """Repeat `subdivide` until no interior triangle is over the bound.
 
-    An interior triangle has an edge off the rim, and no longest side on it. Each pass at least halves the area of
-    a triangle over the bound, so it takes no more than ceil(log2(largest area /
-    max_area)) passes for the area. Edges over the length bound are given as many passes
-    and one more.
+    An interior triangle has an edge off the rim, and no longest side on it. Each pass
+    at least halves the area of a triangle over the bound, so it takes no more than
+    ceil(log2(largest area / max_area)) passes for the area. Edges over the length bound
+    are given as many passes and one more.
 
     Args:
         surface: An oriented manifold with or without rim.

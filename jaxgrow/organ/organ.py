@@ -44,6 +44,14 @@ class Organ:
         """Sign that turns an outward normal into one that points into the lumen."""
         return -1 if self.tissue == "outside" else 1
 
+    def __repr__(self) -> str:
+        """Describe name, size of the mesh, side of the tissue and sites in a line."""
+        sites = ", ".join(self.sites) or "none"
+        return (
+            f"Organ({self.name!r}, {len(self.vertices)} vertices, {len(self.faces)} "
+            f"faces, tissue {self.tissue}, sites: {sites})"
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Site:

@@ -334,6 +334,10 @@ def test_growth_and_metrics_show_themselves_in_a_line():
     assert repr(growth).startswith("Growth(myoma of 2")
     assert repr(growth).endswith("mm after 4 divisions, seed 0: REACHED)")
     assert repr(growth.state) == "State(5 particles)"
+    assert repr(growth.events) == (
+        "Events(myoma of 1 mm particles, 4 steps, 4 divisions: REACHED)"
+    )
+    assert repr(growth.events[0]) == "Event(divisions=1)"
     assert "particles" in repr(jax.eval_shape(lambda: growth.state))
     metrics = jg.shape_metrics(growth.state)
     row = metrics.as_dict()

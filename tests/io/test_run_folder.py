@@ -7,6 +7,7 @@ import pytest
 import trimesh
 from PIL import Image
 
+import jaxgrow as jg
 from jaxgrow.io.lesion_surface import lesion_surface, LesionSurface, RefinementError
 from jaxgrow.io.run_folder import (
     audit_run,
@@ -68,6 +69,17 @@ def test_surface_comes_back_bit_for_bit(polyp_run, tiny_polyp):
     assert np.array_equal(run.vertices, vertices)
     assert np.array_equal(run.faces, faces)
     assert np.array_equal(run.label, label)
+
+
+def test_organ_run_and_surface_show_themselves_in_a_line(polyp_run, tiny_polyp):
+    run = jg.read_run(polyp_run[0])
+    vertices, particles = len(run.vertices), len(run.position)
+    result = tiny_polyp.result.name
+    assert repr(run) == f"Run({result}, {vertices} vertices, {particles} particles)"
+    surface = jg.lesion_surface(tiny_polyp)
+    lesion = int(run.label.sum())
+    assert repr(surface).startswith(f"LesionSurface({vertices} vertices, {lesion} of ")
+    assert repr(jg.uterus()).startswith("Organ('uterus', 2227 vertices, 4450 faces,")
 
 
 def test_smooth_label_and_regions_come_back(polyp_run, tiny_polyp):
