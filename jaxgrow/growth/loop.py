@@ -8,7 +8,7 @@ from jaxgrow.growth.history import make_record, StepRecord
 from jaxgrow.growth.progress import make_progress, Progress
 from jaxgrow.growth.setup import GrowthState, Setup
 from jaxgrow.growth.step import grow_step, StepResult
-from jaxgrow.growth.stopping import GrowthLimits, Stopping
+from jaxgrow.growth.stopping import GrowthLimits, last_result, Stopping
 from jaxgrow.runtime.compilations import forget_now_and_then
 from jaxgrow.runtime.results import Result
 from jaxgrow.runtime.timer import Clock
@@ -133,13 +133,16 @@ def _next(
         if wider is not None:
             now, result, times = wider
             mended |= {"patch_enlarged": times} if times else {}
+    share = lesion.share_reached(now.state, size, kept)
+    if choices.draws:
+        result = last_result(lesion, result, share)
     record = make_record(
         now.state,
         step.settled,
         step.check,
         division=number,
         size_mm=size,
-        share=lesion.share_reached(now.state, size, kept),
+        share=share,
         result=step.result.name,
         mended=mended,
         seconds=clock.lap(),

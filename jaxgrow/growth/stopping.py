@@ -17,6 +17,25 @@ ENLARGING = 1.02
 """Factor of the lesion's diameter above which it counts as enlarged."""
 
 
+NEARLY = 0.97
+"""Share of the size asked for from which on a growth that cannot continue has reached
+it. A step may make the lesion as much larger than asked for."""
+
+ENDS = frozenset(
+    {
+        Result.STEP_LIMIT,
+        Result.NON_FINITE,
+        Result.EVAPORATED,
+        Result.INTERSECTION,
+        Result.ON_MEMBRANE,
+        Result.PATCH_TOO_SMALL,
+        Result.SLIVER,
+        Result.CAVITY_FULL,
+    }
+)
+"""Results after which a growth cannot continue."""
+
+
 @dataclass(frozen=True)
 class GrowthLimits:
     """Bounds of a growth whose lesion does not reach its size.
@@ -58,10 +77,26 @@ def stop_reason(lesion: Lesion, now: Stopping) -> Result:
         return Result.DIVISION_LIMIT
     window = max(STAGNATION, now.divisions // 4)
     if lesion.target_mm is not None and stagnates(now.history, window):
-        return Result.CAVITY_FULL
+        return last_result(lesion, Result.CAVITY_FULL, now.share)
     if bounds.seconds is not None and now.seconds > bounds.seconds:
         return Result.TIME_LIMIT
     return Result.CONVERGED
+
+
+def last_result(lesion: Lesion, result: Result, share: float) -> Result:
+    """Return the result of a growth whose next step has a result.
+
+    It is REACHED if the growth cannot continue and the last valid state has nearly the
+    size asked for.
+
+    Args:
+        lesion: with the request.
+        result: of the step.
+        share: share of the request that the last valid state reaches.
+    """
+    if lesion.target_mm is not None and result in ENDS and share >= NEARLY:
+        return Result.REACHED
+    return result
 
 
 def stagnates(history: Sequence[StepRecord], window: int) -> bool:

@@ -12,7 +12,11 @@ class Result(enum.Enum):
     """
 
     CONVERGED = (0, "The equilibrium was reached.")
-    REACHED = (1, "The lesion has the size that was asked for.")
+    REACHED = (
+        1,
+        "The lesion has the size that was asked for, or it lacks at most 3 % of it and "
+        "cannot grow on.",
+    )
     STEP_LIMIT = (
         2,
         "The forces did not fall below the tolerance within the allowed number of "

@@ -3,7 +3,13 @@
 import numpy as np
 
 from jaxgrow.growth.history import StepRecord
-from jaxgrow.growth.stopping import GrowthLimits, STAGNATION, stop_reason, Stopping
+from jaxgrow.growth.stopping import (
+    GrowthLimits,
+    last_result,
+    STAGNATION,
+    stop_reason,
+    Stopping,
+)
 from jaxgrow.lesions.polyp import Polyp
 from jaxgrow.runtime.results import Result
 from jaxgrow.scene.scene import Scene
@@ -45,6 +51,21 @@ def test_divisions_against_a_wall_are_counted_not_their_iterations():
     ):
         past = records([*growing, *stuck[:several]], each=4)
         assert reason(scene, 4 * len(past), past) is wanted
+
+
+def test_what_lacks_little_in_a_full_cavity_has_its_size():
+    scene = Scene(lesion=Polyp(size_mm=10.0))
+    past = records([*np.linspace(1, 7, 70), *[7.1] * STAGNATION])
+    for share, wanted in ((0.96, Result.CAVITY_FULL), (0.98, Result.REACHED)):
+        now = Stopping(share, len(past), past, GrowthLimits(3000))
+        assert stop_reason(scene.lesion, now) is wanted
+
+
+def test_a_bound_is_no_reason_to_be_content():
+    lesion = Scene(lesion=Polyp(size_mm=10.0)).lesion
+    for result in (Result.TIME_LIMIT, Result.DIVISION_LIMIT, Result.CONVERGED):
+        assert last_result(lesion, result, 0.99) is result
+    assert last_result(Polyp(divisions=5), Result.SLIVER, 0.99) is Result.SLIVER
 
 
 def test_divisions_asked_for_are_not_a_size():
