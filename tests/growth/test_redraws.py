@@ -70,7 +70,7 @@ def test_no_step_is_made_again_after_the_time_limit(failing, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("share", "result"),
+    "share, result",
     [(0.98, jg.Result.REACHED), (0.96, jg.Result.STEP_LIMIT)],
     ids=["little", "more"],
 )
