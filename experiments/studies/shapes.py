@@ -16,6 +16,7 @@ lobes       polyps of three and of five lobes
 resolution  the same polyp of particles of three sizes, by focus and by the paper's rule
 membranes   one polyp on membranes of springs and of finite elements
 requests    100 requests, drawn: both kinds, all sites, sizes as published
+cavity      a polyp that fills the cavity
 plate       twelve lesions of different requests
 
 With ``--keep``, neck and plate also draw their lesions of one seed side by side, with
@@ -181,6 +182,12 @@ def requests(seeds: int) -> Iterator[Request]:
         yield {"name": f"{kind} {size:g} {site}", "seed": seed, "lesion": lesion}
 
 
+def cavity(seeds: int) -> Iterator[Request]:
+    """A mass that fills the whole cavity, of coarse particles."""
+    for seed in range(seeds or 2):
+        yield polyp("cavity", seed, size_mm=30.0, particle_mm=2.0, fills_cavity=True)
+
+
 def plate(seeds: int) -> Iterator[Request]:
     """Twelve lesions."""
     fine = {"size_mm": 12.0, "particle_mm": 0.75}
@@ -211,6 +218,7 @@ STUDIES: dict[str, Callable[[int], Iterator[Request]]] = {
         resolution,
         membranes,
         requests,
+        cavity,
         plate,
     )
 }

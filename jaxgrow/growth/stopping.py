@@ -87,14 +87,15 @@ def last_result(lesion: Lesion, result: Result, share: float) -> Result:
     """Return the result of a growth whose next step has a result.
 
     It is REACHED if the growth cannot continue and the last valid state has nearly the
-    size asked for.
+    size asked for, or the lesion accepts that end (`Lesion.accepts`).
 
     Args:
         lesion: with the request.
         result: of the step.
         share: share of the request that the last valid state reaches.
     """
-    if lesion.target_mm is not None and result in ENDS and share >= NEARLY:
+    nearly = lesion.target_mm is not None and share >= NEARLY
+    if result in ENDS and (nearly or lesion.accepts(result)):
         return Result.REACHED
     return result
 

@@ -16,6 +16,7 @@ from jaxgrow.lesions.division import Division
 from jaxgrow.mesh.surface import Surface
 from jaxgrow.organ import Organ, Site, Tissue
 from jaxgrow.runtime.entries import Model, Positive
+from jaxgrow.runtime.results import Result
 from jaxgrow.runtime.types import Scalar
 from jaxgrow.state import State
 from jaxgrow.transfer.device import get_number
@@ -140,6 +141,14 @@ class Lesion(Model):
         if self.target_mm is None:
             return divisions / (self.divisions or 1)
         return get_number(size_mm) / self.target_mm
+
+    def accepts(self, result: Result) -> bool:
+        """Return whether an end of the growth before its size is what was asked for.
+
+        Args:
+            result: after which it cannot continue.
+        """
+        return False
 
     def check_site(self, organ: Organ, site: Site) -> None:
         """Refuse a site that has no room for a lesion of the requested size.

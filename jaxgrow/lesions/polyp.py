@@ -20,6 +20,7 @@ from jaxgrow.organ import Site, Tissue
 from jaxgrow.organ.signed_distance import Sides
 from jaxgrow.organ.tissue import HOLD
 from jaxgrow.runtime.entries import Positive, SceneError
+from jaxgrow.runtime.results import Result
 from jaxgrow.runtime.types import Scalar
 from jaxgrow.state import Membrane, Particles, replaced, Species, State
 from jaxgrow.transfer.device import get, get_number, get_surface
@@ -71,6 +72,9 @@ class Polyp(Lesion):
             flat polyp; at most 0.9 of the size, which is its width then. The width
             comes from the focus: by default its radius is a third of the size, or a
             little more, and the lining is stiffer (κ = 0.06).
+        fills_cavity: whether a cavity that is full ends the growth as asked for. The
+            polyp then lies against the walls all around; the size is the largest that
+            it may have, and decides that of the particles.
     """
 
     kind: Literal["polyp"] = "polyp"
@@ -79,6 +83,7 @@ class Polyp(Lesion):
     stalk_mm: Annotated[float, pydantic.Field(ge=0)] = 0.0
     lobes: Annotated[int, pydantic.Field(ge=1, le=7)] = 1
     height_mm: Positive | None = None
+    fills_cavity: bool = False
 
     mechanics: ClassVar[dict[str, float]] = {
         "tumour_stiffness": 2.0,
@@ -158,6 +163,17 @@ class Polyp(Lesion):
         if len(centres) > 1:
             radius = LOBE * least_distance(state, centres)
         return mark_foci(state, centres, radius, source)
+
+    @pydantic.model_validator(mode="after")
+    def _large(self) -> "Polyp":
+        """Refuse to fill a cavity without a size, or with a sessile polyp."""
+        if self.fills_cavity and (self.size_mm is None or self.height_mm is not None):
+            raise ValueError(
+                "fills_cavity is for a polyp of a size that its cavity does not hold; "
+                "give size_mm, 30 for the built-in uterus, and neither divisions nor "
+                "height_mm"
+            )
+        return self
 
     @pydantic.model_validator(mode="after")
     def _broad(self) -> "Polyp":
@@ -273,6 +289,10 @@ class Polyp(Lesion):
         if self.height_mm is None:
             return super().share_reached(state, size_mm, divisions)
         return height_of(state) * self.r0_mm / self.height_mm
+
+    def accepts(self, result: Result) -> bool:
+        """Return whether the cavity is full, and is to be filled."""
+        return self.fills_cavity and result is Result.CAVITY_FULL
 
     def size(self, state: State) -> Scalar:
         """Measure the largest diameter of the raised surface, in r0."""

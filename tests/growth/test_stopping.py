@@ -61,6 +61,15 @@ def test_what_lacks_little_in_a_full_cavity_has_its_size():
         assert stop_reason(scene.lesion, now) is wanted
 
 
+def test_a_full_cavity_may_be_what_was_asked_for():
+    past = records([*np.linspace(1, 7, 70), *[7.1] * STAGNATION])
+    now = Stopping(0.5, len(past), past, GrowthLimits(3000))
+    for filling, wanted in ((False, Result.CAVITY_FULL), (True, Result.REACHED)):
+        lesion = Polyp(size_mm=30.0, fills_cavity=filling)
+        assert stop_reason(lesion, now) is wanted
+        assert last_result(lesion, Result.SLIVER, 0.5) is Result.SLIVER
+
+
 def test_a_bound_is_no_reason_to_be_content():
     lesion = Scene(lesion=Polyp(size_mm=10.0)).lesion
     for result in (Result.TIME_LIMIT, Result.DIVISION_LIMIT, Result.CONVERGED):
