@@ -197,7 +197,7 @@ def plate(seeds: int) -> Iterator[Request]:
     yield polyp("wide neck", seed, size_mm=12.0, focus_mm=2.4)
     yield polyp("sessile", seed, size_mm=10.0, height_mm=6.0)
     yield polyp("flat", seed, size_mm=8.0, height_mm=2.6)
-    yield polyp("on a stalk", seed, stalk_mm=5.0, size_mm=12.0)
+    yield polyp("on a stalk", seed, stalk_mm=5.0, size_mm=12.0, particle_mm=0.6)
     yield polyp("three lobes", seed, lobes=3, **fine)
     yield polyp("five lobes", seed, size_mm=14.0, particle_mm=0.9, lobes=5)
     yield polyp("at the fundus", seed, size_mm=8.0, site="fundus")
