@@ -23,12 +23,12 @@ from .springs import springs
 PARAMETERS = jax.tree.map(lambda v: jnp.asarray(v, float), Parameters())
 
 
-@eqx.filter_jit
+@quick_jit
 def answer(problem, lists, force):
     return respond(linearise(problem, lists), force)
 
 
-@eqx.filter_jit
+@quick_jit
 def product(problem, lists, vector):
     return linearise(problem, lists).product(vector)
 
