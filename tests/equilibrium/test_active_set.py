@@ -20,14 +20,21 @@ from jaxgrow.runtime.results import Result
 from jaxgrow.state import Species
 from jaxgrow.transfer.device import put_particles
 
+from ..quick_jit import quick_jit
+
 
 equilibrium = sys.modules["jaxgrow.equilibrium.relax"]  # the name is the function's
+
+
+@quick_jit
+def forces(problem, lists):
+    return problem.forces(problem.nodes(), lists)
 
 
 def residual(particles, membrane=None, load=None):
     """Largest force on what is free, by lists made for where everything is."""
     problem = Problem.of(particles, membrane, load=load)
-    force = problem.forces(problem.nodes(), allocate_lists(problem))
+    force = forces(problem, allocate_lists(problem))
     largest = [np.linalg.norm(np.asarray(force.particles), axis=1)[particles.free]]
     if membrane is not None:
         rows = np.linalg.norm(np.asarray(force.vertices), axis=1)
@@ -197,7 +204,7 @@ def test_forces_are_evaluated_on_everything_once_and_then_kept(ball, monkeypatch
     assert again.result is Result.CONVERGED
     np.testing.assert_allclose(residual(again.state[0]), again.stats.residual)
     problem = Problem.of(again.state[0], None)
-    wanted = problem.forces(problem.nodes(), allocate_lists(problem)).particles
+    wanted = forces(problem, allocate_lists(problem)).particles
     np.testing.assert_allclose(again.forces.particles, wanted, rtol=0, atol=1e-13)
     # so the lists of all neighbours are those that were given
     assert again.lists.neighbors is first.lists.neighbors

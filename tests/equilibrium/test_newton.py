@@ -14,6 +14,8 @@ from jaxgrow.equilibrium.refresh_lists import allocate_lists
 from jaxgrow.equilibrium.relax import relax
 from jaxgrow.runtime.results import Result
 
+from ..quick_jit import quick_jit
+
 
 PARAMETERS = jax.tree.map(lambda v: jnp.asarray(v, float), Parameters())
 LARGEST = jnp.asarray(0.1)
@@ -83,7 +85,7 @@ def near(cluster, bed):
 @pytest.fixture(scope="module")
 def one_iteration():
     """A single iteration, to see what each of them does."""
-    compiled = eqx.filter_jit(lambda *inputs: polish(*inputs))
+    compiled = quick_jit(lambda *inputs: polish(*inputs))
 
     def iterate(particles, membrane, tolerance=1e-13, largest=0.1):
         problem = Problem(particles, membrane, PARAMETERS)
@@ -138,19 +140,15 @@ def test_no_node_moves_farther_than_the_largest_step(near, one_iteration):
     assert outcome.residual < largest_force(problem, outcome.lists)
 
 
-def test_no_node_moves_farther_than_its_own_bound(near, monkeypatch):
+def test_no_node_moves_farther_than_its_own_bound(near, one_iteration, monkeypatch):
     start = shaken(near["particles"], 1e-3)
     bound = 1e-5 * (1 + np.arange(64) % 7)
-    monkeypatch.setattr(newton, "MAX_ITERATIONS", 1)
 
-    def iterate():
-        problem = Problem(*start, PARAMETERS)
-        compiled = eqx.filter_jit(lambda *inputs: polish(*inputs))
-        lists = allocate_lists(problem)
-        outcome = compiled(problem, lists, jnp.asarray(1e-13), LARGEST)
+    def displacement(problem, outcome):
         return np.asarray(outcome.nodes.particles - problem.particles.position)
 
-    whole = iterate()
+    whole = displacement(*one_iteration(*start))
+    monkeypatch.setattr(newton, "MAX_ITERATIONS", 1)
     monkeypatch.setattr(
         Problem,
         "bound",
@@ -158,7 +156,10 @@ def test_no_node_moves_farther_than_its_own_bound(near, monkeypatch):
             lambda n: n.particles, self.nodes(), jnp.asarray(bound)
         ),
     )
-    part = iterate()
+    problem = Problem(*start, PARAMETERS)
+    compiled = quick_jit(lambda *inputs: polish(*inputs))
+    limits = jnp.asarray(1e-13), LARGEST
+    part = displacement(problem, compiled(problem, allocate_lists(problem), *limits))
     share = np.linalg.norm(part, axis=1) / bound
     assert share.max() == pytest.approx(1)
     # all by the same fraction of where Newton's step leads
@@ -212,7 +213,7 @@ def test_from_far_it_gives_up_with_the_best_state(near, size):
 def test_step_that_makes_it_worse_is_not_taken(near, monkeypatch):
     monkeypatch.setattr(newton, "MAX_ITERATIONS", 1)
     monkeypatch.setattr(newton, "_HALVINGS", 0)
-    compiled = eqx.filter_jit(lambda *inputs: polish(*inputs))
+    compiled = quick_jit(lambda *inputs: polish(*inputs))
     kept = 0
     for seed in range(12):
         # so far away that Newton's whole step helps some starts and harms others
