@@ -10,6 +10,9 @@ from numba.core.registry import CPUDispatcher
 import jaxgrow.kernels
 
 
+# What is compiled before the cache is cleared of other sources is deleted by that.
+jaxgrow.kernels.wanted()
+
 LOOPS = {
     loop
     for module in pkgutil.iter_modules(jaxgrow.kernels.__path__, "jaxgrow.kernels.")
