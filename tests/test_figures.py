@@ -245,6 +245,32 @@ def test_rows_of_membranes_are_those_of_the_study():
         assert line in text, line
 
 
+def test_drawn_requests_are_told_as_they_ended():
+    text = words(GUIDES / "limits.md")
+    rows = json.loads((RESULTS / "shapes_requests.json").read_text())
+    grown = [row for row in rows if row["result"] == "REACHED"]
+    refused = [row for row in rows if row["result"] == "REFUSED"]
+    assert len(grown) + len(refused) == len(rows) == 100
+    assert all(row["clean"] for row in grown)
+    worst = 100 * max(abs(row["error"]) for row in grown)
+    assert f"{len(grown)} were reached, {worst:.1f} % off at most" in text
+    assert all(row["lesion"]["kind"] == "myoma" for row in refused)
+    assert all(row["lesion"]["site"] == "isthmus" for row in refused)
+    least = min(row["lesion"]["size_mm"] for row in refused)
+    assert f"The other {len(refused)}, myomas of {least:g} mm and more" in text
+    of = {kind: [r for r in grown if r["lesion"]["kind"] == kind] for kind in KINDS}
+    took = {k: statistics.median(row["seconds"] for row in of[k]) for k in KINDS}
+    assert (
+        f"median of {len(of['polyp'])} polyps is {took['polyp']:.0f} s, "
+        f"that of {len(of['myoma'])} myomas {took['myoma']:.0f} s"
+    ) in text
+    bent = sum(row["above_90"] > 0 for row in grown)
+    assert f"Of {bent} an edge is bent by more than 90°" in text
+
+
+KINDS = ("polyp", "myoma")
+
+
 def test_rows_of_requests_are_those_of_the_plate():
     text = (GUIDES / "scenes.md").read_text()
     rows = json.loads((RESULTS / "shapes_plate.json").read_text())
