@@ -225,6 +225,34 @@ def test_rows_of_heights_are_those_of_the_study():
         assert line in text, line
 
 
+def test_rows_of_the_resolution_are_those_of_the_study():
+    text = (GUIDES / "model.md").read_text()
+    rows = json.loads((RESULTS / "shapes_resolution.json").read_text())
+    sizes = [
+        [row for row in rows if row["name"] == f"focus {size:g}"]
+        for size in (0.9, 0.75, 0.6)
+    ]
+    assert all(len(own) == 8 and all(r["clean"] for r in own) for own in sizes)
+    for metric, label in RESOLVED.items():
+        means = [mean_of([row["metrics"][metric] for row in own]) for own in sizes]
+        line = f"| {label} | {' | '.join(means)} |"
+        assert line in text, line
+    for field in ("particles", "seconds"):
+        told = [f"{statistics.mean(row[field] for row in own):.0f}" for own in sizes]
+        line = f"| {field} | {' | '.join(told)} |"
+        assert line in text, line
+
+
+RESOLVED = {
+    "length_mm": "length, mm",
+    "width_mm": "width, mm",
+    "neck_width_mm": "neck, mm",
+    "volume_mm3": "volume, mm³",
+    "sphericity": "sphericity",
+    "contact_angle_deg": "contact angle, degrees",
+}
+
+
 def test_rows_of_membranes_are_those_of_the_study():
     text = (GUIDES / "model.md").read_text()
     rows = json.loads((RESULTS / "shapes_membranes.json").read_text())
