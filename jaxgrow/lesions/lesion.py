@@ -143,7 +143,7 @@ class Lesion(Model):
         return get_number(size_mm) / self.target_mm
 
     def accepts(self, result: Result) -> bool:
-        """Return whether an end of the growth before its size is what was asked for.
+        """Return whether an end before the size is what was asked for.
 
         Args:
             result: after which it cannot continue.
