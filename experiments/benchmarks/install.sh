@@ -31,5 +31,4 @@ cat >"$here/../results/install.json" <<JSON
  "processors": $(nproc)
 }
 JSON
-cp polyp/growth.png "$here/../results/polyp.png"
 cat "$here/../results/install.json"
