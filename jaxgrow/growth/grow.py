@@ -97,8 +97,9 @@ def grow(
             parameters, tolerance and terms are those of `after`.
 
     Returns:
-        The growth. Its result is REACHED, or the reason of an earlier end, with the
-        last equilibrium as its state: DIVISION_LIMIT, TIME_LIMIT, STOPPED (by
+        The growth. Its result is REACHED (it has its size, or lacks at most 3 % of it
+        and cannot continue), or the reason of an earlier end, with the last equilibrium
+        as its state: DIVISION_LIMIT, TIME_LIMIT, STOPPED (by
         `progress`), CAVITY_FULL (the lesion no longer grows against the walls),
         PATCH_TOO_SMALL (the organ has no more surface), INTERSECTION, SLIVER,
         EVAPORATED, STEP_LIMIT, NON_FINITE or ON_MEMBRANE.
