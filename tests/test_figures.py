@@ -237,10 +237,21 @@ def test_rows_of_the_resolution_are_those_of_the_study():
         means = [mean_of([row["metrics"][metric] for row in own]) for own in sizes]
         line = f"| {label} | {' | '.join(means)} |"
         assert line in text, line
-    for field in ("particles", "seconds"):
-        told = [f"{statistics.mean(row[field] for row in own):.0f}" for own in sizes]
-        line = f"| {field} | {' | '.join(told)} |"
+    for field, told, of in (
+        ("particles", "particles", statistics.mean),
+        ("seconds", "seconds, median", statistics.median),
+    ):
+        cells = [f"{of(row[field] for row in own):.0f}" for own in sizes]
+        line = f"| {told} | {' | '.join(cells)} |"
         assert line in text, line
+    by_rule = [
+        [row["metrics"]["width_mm"] for row in rows if row["name"] == f"paper {size:g}"]
+        for size in (0.9, 0.75, 0.6)
+    ]
+    assert [len(own) for own in by_rule] == [5, 5, 4]
+    first, second, third = map(mean_of, by_rule)
+    told = f"their widths are {first}, {second} and {third} mm"
+    assert told in words(GUIDES / "model.md")
 
 
 RESOLVED = {

@@ -55,8 +55,7 @@ def means_by_size(rows: list[Row], rule: str, metric: str) -> np.ndarray:
     for row in rows:
         kind, size = row["name"].split()
         if kind == rule and row["result"] == "REACHED":
-            value = row["seconds"] if metric == "seconds" else row["metrics"][metric]
-            values.setdefault(float(size), []).append(value)
+            values.setdefault(float(size), []).append(row["metrics"][metric])
     return np.array(
         [
             (size, np.mean(some), np.std(some, ddof=1) / np.sqrt(len(some)))
@@ -66,10 +65,22 @@ def means_by_size(rows: list[Row], rule: str, metric: str) -> np.ndarray:
     )
 
 
+def seconds_by_size(rows: list[Row], rule: str) -> np.ndarray:
+    """Return size of the particles and median seconds, a row per size."""
+    sizes = means_by_size(rows, rule, "length_mm")[:, 0]
+    return np.array(
+        [
+            (size, np.median([r["seconds"] for r in rows if r["name"] == name]))
+            for size in sizes
+            for name in [f"{rule} {size:g}"]
+        ]
+    )
+
+
 def draw_resolution(rows: list[Row], to: Path) -> None:
     """Draw metrics against the size of the particles, over those of the finest."""
     rules = {"focus": "from a focus", "paper": "by the paper's rule"}
-    there = [r for r in rules if len(means_by_size(rows, r, "seconds")) > 1]
+    there = [r for r in rules if len(means_by_size(rows, r, "length_mm")) > 1]
     if not there:
         return
     figure, panels = plt.subplots(
@@ -88,10 +99,11 @@ def draw_resolution(rows: list[Row], to: Path) -> None:
         panel.set_ylabel("mean over that of the finest")
         panel.legend(fontsize=8, ncols=2)
     for rule in there:
-        size, mean, error = means_by_size(rows, rule, "seconds").T
-        panels[0, -1].errorbar(size, mean, error, marker="o", label=rules[rule])
+        panels[0, -1].plot(
+            *seconds_by_size(rows, rule).T, marker="o", label=rules[rule]
+        )
     panels[0, -1].set_xlabel("size of the particles, mm")
-    panels[0, -1].set_ylabel("seconds")
+    panels[0, -1].set_ylabel("seconds, median")
     panels[0, -1].set_yscale("log")
     panels[0, -1].legend(fontsize=8)
     figure.tight_layout()
