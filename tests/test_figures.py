@@ -191,6 +191,26 @@ def mean_of(values):
     return f"{statistics.mean(values):.2f} ± {error:.2f}"
 
 
+def test_default_polyps_are_told_as_they_grew():
+    text = words(GUIDES / "model.md")
+    rows = json.loads((RESULTS / "shapes_default.json").read_text())
+    assert len(rows) == 20
+    assert all(row["result"] == "REACHED" and row["clean"] for row in rows)
+    worst = 100 * max(abs(row["error"]) for row in rows)
+    assert f"all were reached, {worst:.1f} % off at most" in text
+    height, ratio, neck = (
+        mean_of([row["metrics"][metric] for row in rows])
+        for metric in ("height_to_width", "neck_to_width", "neck_width_mm")
+    )
+    assert f"height over width of {height}, a neck over width of {ratio}" in text
+    assert f"a neck of {neck} mm" in text
+    bent = 100 * statistics.mean(row["above_45"] for row in rows)
+    assert f"{bent:.2f} % are bent by more than 45°, and one edge of one" in text
+    assert sum(row["above_90"] > 0 for row in rows) == 1
+    seconds = statistics.mean(row["seconds"] for row in rows)
+    assert f"A growth took {seconds:.0f} s" in text
+
+
 def test_rows_of_necks_are_those_of_the_study():
     text = (GUIDES / "model.md").read_text()
     rows = json.loads((RESULTS / "shapes_neck.json").read_text())
