@@ -19,9 +19,9 @@ requests    100 requests, drawn: both kinds, all sites, sizes as published
 cavity      a polyp that fills the cavity
 plate       twelve lesions of different requests
 
-With ``--keep``, neck and plate also draw their lesions of one seed side by side, with
-their numbers, as ``results/shapes_STUDY.png``; resolution draws its metrics against the
-size of the particles.
+With ``--keep``, neck, plate and cavity also draw their lesions of one seed side by side,
+with their numbers, as ``results/shapes_STUDY.png``; resolution draws its metrics against
+the size of the particles.
 """
 
 import argparse
@@ -318,7 +318,7 @@ def main() -> None:
             path.write_text(text, encoding="utf-8")
             print(study, row["name"], row["seed"], row["result"], flush=True)
         print("\n".join(summary(rows)))
-        if study in ("neck", "plate") and given.keep is not None:
+        if study in ("neck", "plate", "cavity") and given.keep is not None:
             first = min(row["seed"] for row in rows)
             order = [request["name"] for request in asked]
             one = [row for row in rows if row["seed"] == first]
