@@ -304,6 +304,14 @@ def test_rows_of_membranes_are_those_of_the_study():
         assert line in text, line
 
 
+def test_mass_that_fills_the_cavity_is_told_as_it_grew():
+    (row,) = json.loads((RESULTS / "shapes_cavity.json").read_text())
+    assert row["clean"]
+    assert row["result"] == "REACHED"
+    told = f"{row['size_mm']:.1f} mm, {row['divisions']} divisions, audit clean"
+    assert told in words(GUIDES / "limits.md")
+
+
 def test_drawn_requests_are_told_as_they_ended():
     text = words(GUIDES / "limits.md")
     rows = json.loads((RESULTS / "shapes_requests.json").read_text())

@@ -19,9 +19,9 @@ requests    100 requests, drawn: both kinds, all sites, sizes as published
 cavity      a polyp that fills the cavity
 plate       twelve lesions of different requests
 
-With ``--keep``, neck, plate and cavity also draw their lesions of one seed side by side,
-with their numbers, as ``results/shapes_STUDY.png``; resolution draws its metrics against
-the size of the particles.
+With ``--keep``, neck, plate and cavity also draw their lesions of one seed side by
+side, with their numbers, as ``results/shapes_STUDY.png``; resolution draws its metrics
+against the size of the particles.
 """
 
 import argparse
@@ -184,7 +184,7 @@ def requests(seeds: int) -> Iterator[Request]:
 
 def cavity(seeds: int) -> Iterator[Request]:
     """A mass that fills the whole cavity, of coarse particles."""
-    for seed in range(seeds or 2):
+    for seed in range(seeds or 1):
         yield polyp("cavity", seed, size_mm=30.0, particle_mm=2.0, fills_cavity=True)
 
 
