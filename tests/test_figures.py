@@ -191,6 +191,19 @@ def mean_of(values):
     return f"{statistics.mean(values):.2f} ± {error:.2f}"
 
 
+def test_gradients_of_a_polyp_from_a_focus_are_told_as_they_are():
+    text = words(GUIDES / "derivatives.md")
+    errors = value("gradient_focus", "rows/0/errors")
+    raised = ("height_mm", "volume_mm3", "area_mm2")
+    worst = max(own[metric] for own in errors.values() for metric in raised)
+    assert f"agree to {rounded_up(worst)} after 50" in text
+    across = [max(e["width_mm"], e["neck_width_mm"]) for e in errors.values()]
+    good = sum(error < 5e-6 for error in across)
+    assert f"to 5e-6 for {good} parameters; for the other {len(across) - good}" in text
+    assert f"off by up to {rounded_up(max(across))} of the slope" in text
+    assert f"for all {len(across)} parameters" in text
+
+
 def test_default_polyps_are_told_as_they_grew():
     text = words(GUIDES / "model.md")
     rows = json.loads((RESULTS / "shapes_default.json").read_text())
