@@ -10,7 +10,7 @@ takes,
     H v = \left.\frac{d}{d\epsilon}\right|_0 \nabla E(x + \epsilon v),
 
 by `jax.vmap` over the elements where XLA evaluates them, and on a CPU by loops that are
-generated from the same function (`jaxgrow.kernels.elements`).
+generated from the same function (`jaxgrow.kernels.roots`).
 
 Nodes are numbered through: first the particles' slots, then the membrane's vertices.
 """
